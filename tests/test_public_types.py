@@ -1,10 +1,14 @@
-"""What an editor knows of a user's script: the types that mypy reveals, none of them `Any`."""
+"""What an editor knows of a user's script: the types that mypy reveals, none of them `Any`.
+
+All is checked in one run of mypy: expressions whose types are known, a whole script, wrong calls.
+"""
 
 from __future__ import annotations
 
 import inspect
 import os
 import re
+import runpy
 import subprocess
 import sys
 
@@ -12,6 +16,8 @@ import pytest
 
 import navbake
 from project_paths import ROOT
+
+USER_SCRIPT = ROOT / "tests" / "user_script.py"
 
 # expression of a user's script -> what mypy reveals of it, without the names of modules
 REVEALED = {
@@ -22,6 +28,12 @@ REVEALED = {
     "grid.inflate(0.3)": "SceneGrid2D | MultiLevelGrid",
     'grid.with_doors("open").levels[0].inflate(0.3)': "SceneGrid2D",
     "grid.at((1.0, 2.0, 0.0))": "Place | None",
+    'grid.values_at("floor", [(1.0, 2.0, 0.0)])': "ndarray[float64]",
+    'grid.values_at("free", [(1.0, 2.0, 0.0)])': "ndarray[bool]",
+    'grid.values_at("room", [(1.0, 2.0, 0.0)])': "ndarray[unsignedinteger]",
+    "navbake.tensors.floor(grid.tensors(), path.positions)": "ndarray[float64]",
+    "navbake.tensors.is_navigable(grid.tensors(), path.positions)": "ndarray[bool]",
+    "navbake.tensors.patch(grid.tensors(), path.positions, 0.0)": "ndarray[bool]",
     "grid.cell_at((1.0, 2.0, 0.0))": "tuple[int, int, int, fallback=Cell] | None",
     "grid.block(disc=((1.0, 2.0, 0.0), 0.3))": "AddedObstacle",
     "grid.tensors()": "GridTensors",
@@ -79,41 +91,84 @@ flights = navbake.VoxelFinder(navbake.load_voxels("house.bt"), 0.3)
 """
 
 
+# a call that is wrong, after `BEGINNING` -> a word of what mypy says of it
+WRONG_CALLS = {
+    "navbake.bake(3)": "int",
+    'navbake.bake("house.xml", cell_size=0.1)': "cell_size",
+    'navbake.bake("house.xml", grid=0.1)': "float",
+    'navbake.bake("house.xml", "keyframe")': "MjDataLike",
+    'navbake.Baker(["house.xml"])': "list[str]",
+    "navbake.load(3)": "int",
+    'grid.inflate("0.3")': "str",
+    "grid.inflate(0.3, clearence=0.1)": "clearence",
+    "grid.at()": "position",
+    'grid.values_at([(1.0, 2.0, 0.0)], "floor")': "values_at",
+    "grid.with_doors(True)": "bool",
+    'grid.plot(layer="rooms")': "layer",
+    "grid.plot(layers=3)": "int",
+    'grid.to_nav2("map.yaml", radius="0.3")': "str",
+    'grid.tensors("torch")': "Module",
+    "grid.levels[0].fre": "fre",
+    "path.position": "position",
+    "navbake.PathFinder(3)": "int",
+    "finder.find_path((1.0, 2.0, 0.0))": "goal",
+    "finder.random_point(5)": "Generator",
+    'finder.stand_poses("object:sofa", reach=0.6)': "float",
+    "finder.geodesic_distance((1.0, 2.0, 0.0))": "geodesic_distance",
+    "navbake.draw(grid, path)": "draw",
+    'navbake.episodes.make_episodes(grid, "point", num=4)': "num",
+    "navbake.tensors.is_navigable(grid, path.positions)": "is_navigable",
+    "navbake.tensors.floor(grid.tensors(), 3.0)": "float",
+    "navbake.scores.Measures(grid, path)": "PathFinder",
+}
+LINE = re.compile(r"^(\w+)\.py:(\d+): (\w+): (.*)$", re.M)
+
+
 def plain(revealed: str) -> str:
     """A type without its modules; numpy writes a shape that it doesn't know as Any."""
     text = re.sub(r"\b(?:\w+\.)+(?=\w)", "", revealed)
-    return re.sub(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]", r"ndarray[\1]", text)
+    array = r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)(?:\[\w+\])?\]\]"
+    return re.sub(array, r"ndarray[\1]", text)
 
 
 @pytest.fixture(scope="module")
-def revealed(tmp_path_factory) -> dict[str, str]:
-    """The type of each expression in `REVEALED`, by mypy in its strict mode."""
+def messages(tmp_path_factory) -> dict[str, dict[int, list[str]]]:
+    """What mypy says in its strict mode, by script and by line."""
     pytest.importorskip("mypy")
-    script = tmp_path_factory.mktemp("user") / "script.py"
-    lines = [f"reveal_type({expression})" for expression in REVEALED]
-    script.write_text(BEGINNING + "\n".join(lines) + "\n", encoding="utf-8")
+    folder = tmp_path_factory.mktemp("user")
+    scripts = {
+        "revealed": BEGINNING + "".join(f"reveal_type({text})\n" for text in REVEALED),
+        "wrong": BEGINNING + "".join(f"{call}\n" for call in WRONG_CALLS),
+        "user_script": "# mypy: disallow-any-expr\n" + USER_SCRIPT.read_text(encoding="utf-8"),
+    }
+    for name, text in scripts.items():
+        (folder / f"{name}.py").write_text(text, encoding="utf-8")
     # errors in navbake itself are those of its own run of mypy
     options = ["--strict", "--follow-imports=silent", "--config-file=", "--no-pretty"]
+    options.append(f"--cache-dir={ROOT / '.mypy_cache'}")
     done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "mypy",
-            *options,
-            f"--cache-dir={ROOT / '.mypy_cache'}",
-            script.name,
-        ],
-        cwd=script.parent,
+        [sys.executable, "-m", "mypy", *options, *(f"{name}.py" for name in scripts)],
+        cwd=folder,
         env={**os.environ, "MYPYPATH": str(ROOT)},
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stdout + done.stderr
-    found = re.findall(r'^script\.py:(\d+): note: Revealed type is "(.*)"$', done.stdout, re.M)
+    assert not done.stderr, done.stderr
+    by_script: dict[str, dict[int, list[str]]] = {name: {} for name in scripts}
+    for script, line, kind, text in LINE.findall(done.stdout):
+        by_script[script].setdefault(int(line), []).append(f"{kind}: {text}")
+    return by_script
+
+
+@pytest.fixture(scope="module")
+def revealed(messages) -> dict[str, str]:
+    """The type of each expression in `REVEALED`."""
     first = BEGINNING.count("\n") + 1
-    expressions = list(REVEALED)
-    return {expressions[int(line) - first]: text for line, text in found}
+    types = {}
+    for line, texts in messages["revealed"].items():
+        types[list(REVEALED)[line - first]] = texts[0].split('"')[1]
+    return types
 
 
 @pytest.mark.timeout(900)
@@ -124,6 +179,35 @@ def test_mypy_reveals_every_type(revealed):
 def test_no_type_is_any(revealed):
     for expression, text in revealed.items():
         assert not re.search(r"\bAny\b", plain(text)), f"{expression}: {text}"
+
+
+@pytest.mark.timeout(900)
+def test_no_expression_of_a_users_script_is_any(messages):
+    lines = ["", *USER_SCRIPT.read_text(encoding="utf-8").splitlines()]
+    errors = {
+        lines[line - 1]: texts
+        for line, texts in messages["user_script"].items()
+        if any(re.search(r"\bAny\b", plain(text)) or "contains" not in text for text in texts)
+    }
+    assert not errors
+
+
+def test_a_users_script_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(USER_SCRIPT))
+    assert (tmp_path / "map.yaml").exists()
+    assert (tmp_path / "apartment.png").exists()
+    assert "['hall', 'kitchen']" in capsys.readouterr().out
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("call", WRONG_CALLS)
+def test_mypy_flags_a_wrong_call(messages, call):
+    line = BEGINNING.count("\n") + 1 + list(WRONG_CALLS).index(call)
+    texts = messages["wrong"].get(line, [])
+    errors = [text for text in texts if text.startswith("error: ")]
+    assert errors
+    assert WRONG_CALLS[call] in errors[0]
 
 
 CLASSES = [

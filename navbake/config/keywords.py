@@ -31,19 +31,19 @@ from navbake.yaml_text import read_yaml
 class SettingKeywords(TypedDict, total=False):
     """The settings as keywords of a function: the sections of a YAML file, see docs/settings.md."""
 
-    scene: Mapping[str, Any]
-    agent: Mapping[str, Any]
-    grid: Mapping[str, Any]
-    levels: str | Sequence[Mapping[str, Any]]
-    floors: Mapping[str, Any]
-    names: bool | Mapping[str, Any]
-    rooms: str | Mapping[str, Any]
-    doors: Mapping[str, Any]
-    agents: Mapping[str, Any]
-    areas: str | PathLike[str] | Sequence[Mapping[str, Any]]
-    links: str | PathLike[str] | Sequence[Mapping[str, Any]]
+    scene: Mapping[str, object]
+    agent: Mapping[str, object]
+    grid: Mapping[str, object]
+    levels: str | Sequence[Mapping[str, object]]
+    floors: Mapping[str, object]
+    names: bool | Mapping[str, object]
+    rooms: str | Mapping[str, object]
+    doors: Mapping[str, object]
+    agents: Mapping[str, object]
+    areas: str | PathLike[str] | Sequence[Mapping[str, object]]
+    links: str | PathLike[str] | Sequence[Mapping[str, object]]
     attributes: Sequence[str]
-    verify: Mapping[str, Any]
+    verify: Mapping[str, object]
     output: str | PathLike[str] | None
 
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, cast, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.types import Bool, Float, Json
+from navbake.types import Bool, Float, Int32, Json
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from navbake.runtime.blocking import AddedObstacle
     from navbake.runtime.stand import StandPoses
     from navbake.tensors.grid_tensors import GridTensors
-    from navbake.types import Bool
     from navbake.views.plot import Mark
 
 # Functions import the modules that they call: most of these import this module, or load slowly.
@@ -134,6 +133,34 @@ class GridMethods:
 
         return place_at(self._as_grid(), position, level)
 
+    @overload
+    def values_at(
+        self, layer: Literal["floor", "weight"], positions: ArrayLike, level: int | None = None
+    ) -> Float: ...
+    @overload
+    def values_at(
+        self, layer: Literal["clearance"], positions: ArrayLike, level: int | None = None
+    ) -> NDArray[np.float32]: ...
+    @overload
+    def values_at(
+        self, layer: Literal["free"], positions: ArrayLike, level: int | None = None
+    ) -> Bool: ...
+    @overload
+    def values_at(
+        self, layer: Literal["occupancy"], positions: ArrayLike, level: int | None = None
+    ) -> NDArray[np.uint8]: ...
+    @overload
+    def values_at(
+        self, layer: Literal["room"], positions: ArrayLike, level: int | None = None
+    ) -> NDArray[np.uint16]: ...
+    @overload
+    def values_at(
+        self, layer: Literal["island"], positions: ArrayLike, level: int | None = None
+    ) -> Int32: ...
+    @overload
+    def values_at(
+        self, layer: str, positions: ArrayLike, level: int | None = None
+    ) -> NDArray[np.generic]: ...
     def values_at(
         self, layer: str, positions: ArrayLike, level: int | None = None
     ) -> NDArray[np.generic]:

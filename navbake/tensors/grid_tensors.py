@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -27,6 +27,26 @@ DType: TypeAlias = Any
 """A dtype of that library."""
 Ids: TypeAlias = Any
 """An integer, or an array of integers. A `scene_id` may be None if there is one scene."""
+
+
+class LibraryArray(Protocol):
+    """What type checkers know of an array of any library: numpy's, PyTorch's, JAX's or another."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The length of each axis."""
+        ...
+
+    @property
+    def dtype(self) -> object:
+        """The type of the numbers."""
+        ...
+
+
+ArrayT = TypeVar("ArrayT", bound=LibraryArray)
+"""The type of the caller's arrays: answers are arrays of the library that asks."""
+FloatT = TypeVar("FloatT", bound=np.floating)
+"""float32 or float64, the type of numpy's positions."""
 
 NUMPY_NAMES = ("numpy", "array_api_compat.numpy")  # names of numpy as a namespace
 # the coordinates, ids and masks of this many positions stay in the processor's second cache

@@ -12,12 +12,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Literal, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.errors import QueryError
 from navbake.tensors.grid_tensors import (
     Array,
+    ArrayT,
+    FloatT,
     GridTensors,
     Ids,
     apply_in_chunks,
@@ -33,10 +37,18 @@ from navbake.tensors.grid_tensors import (
     locate_in_scenes,
     to_level_row_col,
 )
+from navbake.types import Bool, Int32
+
+# Of numpy's arrays, type checkers know the dtype: the overloads say it where an answer has another
+# dtype than the positions. Arrays of other libraries have one type for all dtypes.
 
 INTERPOLATIONS = ("nearest", "bilinear")
 
 
+@overload
+def level_at(t: GridTensors, positions: NDArray[np.floating], scene_id: Ids = None) -> Int32: ...
+@overload
+def level_at(t: GridTensors, positions: ArrayT, scene_id: Ids = None) -> ArrayT: ...
 def level_at(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     """Find the level of each position, by the rule of `PathFinder.cell_at`.
 
@@ -56,7 +68,7 @@ def level_at(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     return _apply(t, find_levels, positions, scene_id)
 
 
-def floor(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
+def floor(t: GridTensors, positions: ArrayT, scene_id: Ids = None) -> ArrayT:
     """Look up the height of the floor under each position.
 
     Args:
@@ -70,6 +82,10 @@ def floor(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     return _values_at(t, t.floor, t.xp.nan, positions, scene_id)
 
 
+@overload
+def room(t: GridTensors, positions: NDArray[np.floating], scene_id: Ids = None) -> Int32: ...
+@overload
+def room(t: GridTensors, positions: ArrayT, scene_id: Ids = None) -> ArrayT: ...
 def room(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     """Look up the number of each position's room.
 
@@ -84,6 +100,10 @@ def room(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     return _values_at(t, t.room, 0, positions, scene_id)
 
 
+@overload
+def area(t: GridTensors, positions: NDArray[np.floating], scene_id: Ids = None) -> Int32: ...
+@overload
+def area(t: GridTensors, positions: ArrayT, scene_id: Ids = None) -> ArrayT: ...
 def area(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     """Look up the number of each position's area.
 
@@ -98,6 +118,10 @@ def area(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     return _values_at(t, t.area, 0, positions, scene_id)
 
 
+@overload
+def island(t: GridTensors, positions: NDArray[np.floating], scene_id: Ids = None) -> Int32: ...
+@overload
+def island(t: GridTensors, positions: ArrayT, scene_id: Ids = None) -> ArrayT: ...
 def island(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     """Look up the number of each position's island, a connected part of the free cells.
 
@@ -113,6 +137,10 @@ def island(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     return _values_at(t, t.island, 0, positions, scene_id)
 
 
+@overload
+def is_navigable(t: GridTensors, positions: NDArray[np.floating], scene_id: Ids = None) -> Bool: ...
+@overload
+def is_navigable(t: GridTensors, positions: ArrayT, scene_id: Ids = None) -> ArrayT: ...
 def is_navigable(t: GridTensors, positions: Array, scene_id: Ids = None) -> Array:
     """Return whether an agent can stand at each position.
 
@@ -136,8 +164,8 @@ def is_navigable(t: GridTensors, positions: Array, scene_id: Ids = None) -> Arra
 
 
 def clearance(
-    t: GridTensors, positions: Array, scene_id: Ids = None, mode: str = "bilinear"
-) -> Array:
+    t: GridTensors, positions: ArrayT, scene_id: Ids = None, mode: str = "bilinear"
+) -> ArrayT:
     """Return the distance from each position to the nearest cell that isn't free.
 
     `PathFinder.clearance` measures from the position to obstacles. This function looks up the
@@ -197,8 +225,8 @@ def clearance(
 
 
 def _values_at(
-    tensors: GridTensors, layer: Array, value_outside: float, positions: Array, scene_id: Ids
-) -> Array:
+    tensors: GridTensors, layer: Array, value_outside: float, positions: ArrayT, scene_id: Ids
+) -> ArrayT:
     """Look up a layer in the cells of positions; the value is `value_outside` for no cell."""
 
     def look_up_values(points: Array, scenes: Array) -> Array:
@@ -209,12 +237,13 @@ def _values_at(
 
 
 def _apply(
-    tensors: GridTensors, function: Callable[..., Array], positions: Array, scene_id: Ids
-) -> Array:
+    tensors: GridTensors, function: Callable[..., Array], positions: ArrayT, scene_id: Ids
+) -> ArrayT:
     """Check positions and scenes, and apply a function to them."""
     points = check_positions(tensors, positions)
     scenes = check_scenes(tensors, scene_id, points.shape[:-1])
-    return apply_in_chunks(tensors, function, points, scenes)
+    values: ArrayT = apply_in_chunks(tensors, function, points, scenes)
+    return values
 
 
 LAYERS: dict[str, Callable[..., Array]] = {
@@ -229,8 +258,8 @@ LAYERS: dict[str, Callable[..., Array]] = {
 
 
 def heights(
-    t: GridTensors, positions: Array, yaw: Array, pattern: Array, scene_id: Ids = None
-) -> Array:
+    t: GridTensors, positions: ArrayT, yaw: Array, pattern: Array, scene_id: Ids = None
+) -> ArrayT:
     """Make a height scan: floor heights at points round each agent, rotated with the agent.
 
     Each point's floor is the nearest below the agent, by the rule of `level_at`.
@@ -246,9 +275,62 @@ def heights(
         World z, shape (..., k), NaN for no floor [m].
     """
     points, scenes = _pattern_points(t, positions, yaw, pattern, scene_id)
-    return floor(t, points, scenes)
+    floor_z: ArrayT = floor(t, points, scenes)
+    return floor_z
 
 
+@overload
+def patch(
+    t: GridTensors,
+    positions: NDArray[np.floating],
+    yaw: Array,
+    shape: tuple[int, int] = (64, 64),
+    cell: float = 0.05,
+    layer: Literal["free"] = "free",
+    scene_id: Ids = None,
+) -> Bool: ...
+@overload
+def patch(
+    t: GridTensors,
+    positions: NDArray[FloatT],
+    yaw: Array,
+    shape: tuple[int, int] = (64, 64),
+    cell: float = 0.05,
+    *,
+    layer: Literal["floor", "clearance"],
+    scene_id: Ids = None,
+) -> NDArray[FloatT]: ...
+@overload
+def patch(
+    t: GridTensors,
+    positions: NDArray[np.floating],
+    yaw: Array,
+    shape: tuple[int, int] = (64, 64),
+    cell: float = 0.05,
+    *,
+    layer: Literal["room", "area", "island"],
+    scene_id: Ids = None,
+) -> Int32: ...
+@overload
+def patch(
+    t: GridTensors,
+    positions: NDArray[np.floating],
+    yaw: Array,
+    shape: tuple[int, int] = (64, 64),
+    cell: float = 0.05,
+    layer: str = "free",
+    scene_id: Ids = None,
+) -> NDArray[np.generic]: ...
+@overload
+def patch(
+    t: GridTensors,
+    positions: ArrayT,
+    yaw: Array,
+    shape: tuple[int, int] = (64, 64),
+    cell: float = 0.05,
+    layer: str = "free",
+    scene_id: Ids = None,
+) -> ArrayT: ...
 def patch(
     t: GridTensors,
     positions: Array,
@@ -332,8 +414,8 @@ def _pattern_points(
 
 
 def distance_to_goal(
-    t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = None
-) -> Array:
+    t: GridTensors, positions: ArrayT, goal: Ids = 0, scene_id: Ids = None
+) -> ArrayT:
     """Look up the costs of the cheapest paths to a goal, like `PathFinder.distances`.
 
     Args:
@@ -355,8 +437,8 @@ def distance_to_goal(
 
 
 def distances(
-    t: GridTensors, starts: Array, goals: Array | None = None, scene_id: Ids = None
-) -> Array:
+    t: GridTensors, starts: ArrayT, goals: Array | None = None, scene_id: Ids = None
+) -> ArrayT:
     """Compute `distance_to_goal` from each start to each of several goals.
 
     Args:
@@ -383,7 +465,7 @@ def distances(
     return _apply(t, look_up_costs, starts, scene_id)
 
 
-def path_step(t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = None) -> Array:
+def path_step(t: GridTensors, positions: ArrayT, goal: Ids = 0, scene_id: Ids = None) -> ArrayT:
     """Compute the direction from each position to the next cell's centre on the cheapest path.
 
     Following it stays in the cells of that path, also over steps to other levels; at the stop of a
@@ -422,8 +504,12 @@ def path_step(t: GridTensors, positions: Array, goal: Ids = 0, scene_id: Ids = N
 
 
 def _apply_to_goal(
-    tensors: GridTensors, function: Callable[..., Array], positions: Array, goal: Ids, scene_id: Ids
-) -> Array:
+    tensors: GridTensors,
+    function: Callable[..., Array],
+    positions: ArrayT,
+    goal: Ids,
+    scene_id: Ids,
+) -> ArrayT:
     """Check arguments, and apply a function of positions, first indices and scenes to them.
 
     A first index is where the cells of the position's goal begin in ``t.cost``.
@@ -438,9 +524,10 @@ def _apply_to_goal(
         goals = check_numbers(tensors, goal, "goal", _num_goals(tensors), shape)
         points = xp.where((goals >= 0)[..., None], points, xp.nan)  # unknown goals
         first_index = xp.where(goals >= 0, goals, 0) * num_cells
-    return apply_in_chunks(
+    values: ArrayT = apply_in_chunks(
         tensors, function, points, first_index, check_scenes(tensors, scene_id, shape)
     )
+    return values
 
 
 def _num_goals(tensors: GridTensors) -> int:
@@ -452,12 +539,12 @@ def _num_goals(tensors: GridTensors) -> int:
 
 def sample(
     t: GridTensors,
-    u: Array,
+    u: ArrayT,
     room: Ids = None,
     min_clearance: Array | float | None = None,
     reachable_from: Array | None = None,
     scene_id: Ids = None,
-) -> Array:
+) -> ArrayT:
     """Turn uniform random numbers into places where an agent can stand, each cell equally likely.
 
     The same numbers give the same places. A grid's levels must have cells of one size.
@@ -478,7 +565,7 @@ def sample(
         World x, y and floor z [m], shape (..., 3); NaN if there is no such place.
     """
     xp = t.xp
-    random_numbers = as_array(t, u)
+    random_numbers: Array = as_array(t, u)
     if random_numbers.ndim == 0 or random_numbers.shape[-1] not in (1, 3):
         raise QueryError(
             f"expected u of shape (..., 3) or (..., 1), got {tuple(random_numbers.shape)}"
@@ -506,7 +593,8 @@ def sample(
         keys = t.island_key
         is_valid = is_valid & (group_numbers > 0)
     if cells.shape[0] == 0:
-        return xp.full((*shape, 3), xp.nan, dtype=t.dtype, device=device_of(t))
+        no_places: ArrayT = xp.full((*shape, 3), xp.nan, dtype=t.dtype, device=device_of(t))
+        return no_places
     first_key = group_numbers * keys_per_group
     stop_key = (group_numbers + 1) * keys_per_group
     if room is not None:
@@ -567,4 +655,5 @@ def sample(
     y = xp.maximum(north - fraction_y * (north - south), last_y)
     points = xp.stack([x, y, z], axis=-1)
     has_place = is_valid & (num_candidates > 0) & ~xp.any(xp.isnan(points), axis=-1)
-    return xp.where(has_place[..., None], points, xp.nan)
+    places: ArrayT = xp.where(has_place[..., None], points, xp.nan)
+    return places

@@ -24,6 +24,7 @@ from navbake.config.settings import (
     settings_digest,
 )
 from navbake.errors import ConfigError, QueryError
+from navbake.mujoco_types import MjDataLike
 from navbake.navgrid.grid import GridBase
 from navbake.navgrid.rooms import Door
 
@@ -47,7 +48,7 @@ def find_source(
     grid_path: Path | None,
     *,
     force: bool,
-    data: mujoco.MjData | None = None,
+    data: MjDataLike | None = None,
 ) -> tuple[Scene, BakeConfig | None, list[str]]:
     """Load the scene of a grid.
 
@@ -80,9 +81,8 @@ def find_source(
     if source is None:
         source = _find_file(grid, stated_scene.get("path"), grid_path)
     is_file = isinstance(source, str | PathLike) and not is_settings(source)
-    is_source_in_memory = is_in_memory(source)
     if data is not None:
-        if not is_source_in_memory:
+        if not is_in_memory(source):
             problem = "expected a data with a mujoco.MjModel or MjSpec: give the model, too"
             raise ConfigError(problem)
         stated_scene = {
@@ -92,15 +92,15 @@ def find_source(
         }
 
     scene_model = None
-    if is_source_in_memory or is_file:
-        path = make_memory_path(name_of(source)) if is_source_in_memory else Path(str(source))
+    if is_in_memory(source) or is_file:
+        path = make_memory_path(name_of(source)) if is_in_memory(source) else Path(str(source))
         if is_file and not path.exists():
             raise QueryError(f"no scene at {path}: it may have moved; give its path")
         try:
             config = parse_config({**stated_settings, "scene": {**stated_scene, "path": path}})
         except ConfigError:  # the settings of another version
             config = parse_config({"scene": {"path": path}}, str(path))
-        if is_source_in_memory:
+        if is_in_memory(source):
             scene_model = load_from_memory(source, data, config.scene)
     else:
         config = as_config(source)
@@ -118,7 +118,7 @@ def find_source(
         if not force:
             raise QueryError(f"{notes[0]}: --force, or force=True, compares them anyway")
     has_bake_settings = grid.navbake.get("settingsDigest") in (None, settings_digest(config))
-    if stated_settings and (is_source_in_memory or is_file):
+    if stated_settings and (is_in_memory(source) or is_file):
         has_bake_settings = True
     if grid.navbake and not has_bake_settings:
         notes.append("the settings are others than those of the bake (their digests differ)")

@@ -8,13 +8,13 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
 from navbake.errors import FormatError, QueryError, count_of
 from navbake.formats.navgrid import read_navgrid
+from navbake.mujoco_types import MjDataLike
 from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.types import Bool
 from navbake.verifier.cells import FloorCheck, OccupancyCheck
@@ -47,7 +47,7 @@ def verify(
     paths: int = 0,
     tolerance: float = DEFAULT_TOLERANCE,
     force: bool = False,
-    data: mujoco.MjData | None = None,
+    data: MjDataLike | None = None,
 ) -> VerifyReport:
     """Compare a grid with its scene, cell by cell.
 

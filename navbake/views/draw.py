@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from navbake.episodes.episode import Episode, find_goal_position
 from navbake.errors import QueryError, count_of, printable
 from navbake.lazy import lazy
+from navbake.mujoco_types import MjvSceneLike
 from navbake.navgrid import colors
 from navbake.navgrid.cells import check_level, place_at
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
@@ -74,7 +75,7 @@ class DrawCount(NamedTuple):
 
 @overload
 def draw(
-    scene: MjvScene,
+    scene: MjvSceneLike,
     content: NavGrid | PathFinder,
     *,
     layer: str | None = None,
@@ -85,7 +86,7 @@ def draw(
 ) -> DrawCount: ...
 @overload
 def draw(
-    scene: MjvScene,
+    scene: MjvSceneLike,
     content: Path | FlightPath | Poses | Voxels | Episode,
     *,
     color: str | None = None,
@@ -94,7 +95,7 @@ def draw(
     labels: bool = True,
 ) -> DrawCount: ...
 def draw(
-    scene: MjvScene,
+    scene: MjvSceneLike,
     content: Drawable,
     *,
     layer: str | None = None,

@@ -24,6 +24,7 @@ from navbake.config.keywords import add_keywords_to_config, make_memory_config
 from navbake.config.settings import BakeConfig, ExcludeSettings
 from navbake.errors import ConfigError
 from navbake.known_names import suggest
+from navbake.mujoco_types import MjDataLike
 
 if TYPE_CHECKING:
     import mujoco
@@ -37,7 +38,7 @@ References: TypeAlias = "Reference | Sequence[Reference]"
 
 def parse_arguments(
     scene: SceneInput,
-    data: mujoco.MjData | None,
+    data: MjDataLike | None,
     settings: Mapping[str, object],
     exclude: Mapping[str, object] | None = None,
     robot: References | None = None,

@@ -26,6 +26,7 @@ from navbake.baker.scene.scene import GeomReport, Scene
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig
 from navbake.errors import BakeWarning, printable
+from navbake.mujoco_types import MjDataLike
 from navbake.navgrid.door_states import with_door_names
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
@@ -35,7 +36,6 @@ from navbake.threads import baking, limit_threads
 from navbake.types import Bool, Json
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
-    import mujoco
     from typing_extensions import Unpack
 
 LOG = logging.getLogger("navbake")
@@ -65,7 +65,7 @@ class BakeResult:
 
 def bake(
     scene: SceneInput,
-    data: mujoco.MjData | None = None,
+    data: MjDataLike | None = None,
     /,
     *,
     exclude: Mapping[str, object] | None = None,

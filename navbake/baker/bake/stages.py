@@ -71,18 +71,18 @@ from navbake.baker.scene.scene import Scene, load_scene
 from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig, select_settings_to_store, settings_digest
+from navbake.mujoco_types import MjDataLike
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_beside
 from navbake.types import Bool, Float
 
 if TYPE_CHECKING:  # `typing` has it from Python 3.11 on
-    import mujoco
     from typing_extensions import Unpack
 
 
 def bake_stages(
     scene: SceneInput,
-    data: mujoco.MjData | None = None,
+    data: MjDataLike | None = None,
     /,
     *,
     progress: Progress | None = None,

@@ -26,6 +26,7 @@ from navbake.baker.scene.model import SceneInput, SceneModel
 from navbake.baker.scene.scene import load_scene_file
 from navbake.config.keywords import SettingKeywords
 from navbake.errors import BakeWarning
+from navbake.mujoco_types import MjDataLike
 from navbake.navgrid.grid import NavGrid
 from navbake.threads import baking, limit_threads
 from navbake.types import Float, Int
@@ -89,7 +90,7 @@ class Baker:
     def __init__(
         self,
         scene: SceneInput,
-        data: mujoco.MjData | None = None,
+        data: MjDataLike | None = None,
         /,
         *,
         exclude: Mapping[str, object] | None = None,
@@ -131,7 +132,7 @@ class Baker:
 
     def update(
         self,
-        data: mujoco.MjData | None = None,
+        data: MjDataLike | None = None,
         *,
         bodies: Mapping[str, ArrayLike] | None = None,
         joints: Mapping[str, float] | None = None,

@@ -23,6 +23,7 @@ from navbake.baker.scene.scene import Scene, digest_names, load_scene, start_has
 from navbake.config.settings import BakeConfig
 from navbake.errors import QueryError
 from navbake.known_names import suggest
+from navbake.mujoco_types import MjDataLike
 from navbake.types import Bool, Float
 
 if TYPE_CHECKING:
@@ -177,7 +178,7 @@ class TrackedScene:
 
     def find_change(
         self,
-        data: mujoco.MjData | None,
+        data: MjDataLike | None,
         bodies: Mapping[str, ArrayLike] | None,
         joints: Mapping[str, float] | None,
     ) -> SceneChange:

@@ -20,7 +20,7 @@ from contextlib import suppress
 from functools import cache, partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias, TypeGuard
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import mujoco
 import numpy as np
@@ -62,12 +62,14 @@ from navbake.formats.scene_files import (
 from navbake.formats.xml_files import find_root_tag, parse_xml
 from navbake.known_names import list_first, unique_name
 from navbake.lazy import resolve
+from navbake.mujoco_types import MjDataLike, MjModelLike, MjSpecLike
 from navbake.processes import describe_exit, end_with_parent, is_lack_of_memory, limit_memory
 
 if TYPE_CHECKING:
     import trimesh
+    from typing_extensions import TypeIs  # `typing` has it from Python 3.13 on
 
-SceneInMemory: TypeAlias = "mujoco.MjModel | mujoco.MjSpec | trimesh.Scene | trimesh.Trimesh"
+SceneInMemory: TypeAlias = "MjModelLike | MjSpecLike | trimesh.Scene | trimesh.Trimesh"
 """A scene that is not in a file: a model, a spec or meshes."""
 
 SceneInput: TypeAlias = "SceneInMemory | BakeConfig | str | PathLike[str] | Mapping[str, object]"
@@ -537,7 +539,7 @@ def _describe_missing_meshes(urdf: Path, filenames: list[str]) -> str:
 # ---------------------------------------------------------------- scenes in memory
 
 
-def is_in_memory(scene: object) -> TypeGuard[SceneInMemory]:
+def is_in_memory(scene: object) -> TypeIs[SceneInMemory]:
     """Return whether an object is a scene: an MjModel, an MjSpec, a trimesh.Scene or a Trimesh."""
     return isinstance(scene, mujoco.MjModel | mujoco.MjSpec) or is_mesh_scene(scene)
 
@@ -553,7 +555,7 @@ def name_of(scene: SceneInMemory) -> str:
 
 
 def load_from_memory(
-    scene: SceneInMemory, data: mujoco.MjData | None, settings: SceneSettings
+    scene: SceneInMemory, data: MjDataLike | None, settings: SceneSettings
 ) -> SceneModel:
     """Compile a scene in memory, and copy its pose.
 
@@ -585,7 +587,7 @@ def load_from_memory(
             model = compile_model(
                 path, warnings, lambda: compile_spec(scene.copy(), ground_height, warnings)
             )
-        else:
+        elif is_mesh_scene(scene):
             read_meshes = partial(convert_trimesh, scene, path, unit=settings.unit)
             meshes = orient_meshes(read_meshes, settings, warnings)
             model, exact_meshes = build_model_of_meshes(meshes, path, ground_height, warnings)

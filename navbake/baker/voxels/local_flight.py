@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 from numpy.typing import ArrayLike
 
 from navbake.baker.voxels.voxelize import Voxelizer
+from navbake.mujoco_types import MjDataLike
 from navbake.voxels.finder import FlightPath, VoxelFinder
 
 if TYPE_CHECKING:
-    import mujoco
+    pass
 
 
 class LocalFlight:
@@ -63,7 +64,7 @@ class LocalFlight:
         self._cost_of_clearance = cost_of_clearance
 
     def update(
-        self, position: ArrayLike, goal: ArrayLike, *, data: mujoco.MjData | None = None
+        self, position: ArrayLike, goal: ArrayLike, *, data: MjDataLike | None = None
     ) -> FlightPath | None:
         """Look around, and plan a path to a goal, or towards it.
 

@@ -30,6 +30,7 @@ from navbake.config.settings import BakeConfig, SceneSettings
 from navbake.errors import ConfigError, SceneError
 from navbake.formats.format_table import OCTREE_SUFFIXES
 from navbake.known_names import find_similar_names
+from navbake.mujoco_types import MjDataLike, MjModelLike, MjSpecLike
 from navbake.navgrid.lattice import CELL_SLACK, Lattice
 from navbake.threads import run_in_chunks
 from navbake.voxels.grid import (
@@ -46,7 +47,7 @@ if TYPE_CHECKING:  # mujoco and trimesh are slow to load
     import trimesh
     from typing_extensions import Unpack  # `typing` has it from Python 3.11 on
 
-    SceneInMemory: TypeAlias = mujoco.MjModel | mujoco.MjSpec | trimesh.Scene | trimesh.Trimesh
+    SceneInMemory: TypeAlias = MjModelLike | MjSpecLike | trimesh.Scene | trimesh.Trimesh
     SceneInput: TypeAlias = str | PathLike[str] | Mapping[str, object] | BakeConfig | SceneInMemory
 
 
@@ -148,7 +149,7 @@ class Voxelizer:
     def __init__(
         self,
         scene: SceneInput | Scene,
-        data: mujoco.MjData | None = None,
+        data: MjDataLike | None = None,
         /,
         *,
         ignore: str | Sequence[str] = (),
@@ -295,7 +296,7 @@ class Voxelizer:
         joints: Mapping[str, float | list[float]] | None = None,
         keyframe: str | int | None = None,
         qpos: ArrayLike | None = None,
-        data: mujoco.MjData | None = None,
+        data: MjDataLike | None = None,
     ) -> None:
         """Change the pose of the scene without loading it again.
 

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.formats.floor_mesh import GlbBuffer, cover_with_quads
 from navbake.lazy import lazy
+from navbake.mujoco_types import MjDataLike
 from navbake.navgrid.cells import Cell, place_at
 from navbake.navgrid.colors import to_linear
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
@@ -215,7 +216,7 @@ class ViewRay(NamedTuple):
 def draw_scene(
     scene: Scene,
     *,
-    data: mujoco.MjData | None = None,
+    data: MjDataLike | None = None,
     removed: Collection[int] = (),
     with_hidden: bool = False,
 ) -> Drawing:

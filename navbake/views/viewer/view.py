@@ -27,6 +27,7 @@ from navbake.episodes.files import read_episodes
 from navbake.errors import NavbakeError
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.scene_files import find_inputs
+from navbake.mujoco_types import MjDataLike, MjModelLike, MjSpecLike
 from navbake.navgrid.colors import rgb_of
 from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.runtime.paths import Path as Route
@@ -59,16 +60,13 @@ from navbake.views.viewer.view_state import (
 )
 
 if TYPE_CHECKING:
-    import mujoco
     import trimesh
     import viser
 
     from navbake.config.settings import BakeConfig
 
-SceneLike: TypeAlias = (
-    "mujoco.MjModel | mujoco.MjSpec | trimesh.Scene | trimesh.Trimesh | BakeConfig"
-    " | Mapping[str, object] | str | PathLike[str] | None"
-)
+SceneInMemory: TypeAlias = "MjModelLike | MjSpecLike | trimesh.Scene | trimesh.Trimesh"
+SceneLike: TypeAlias = "SceneInMemory | BakeConfig | Mapping[str, object] | str | PathLike[str]"
 
 
 class Shadows(TypedDict):
@@ -193,9 +191,9 @@ class Viewer(AbstractContextManager["Viewer"]):
     def show(
         self,
         grid: NavGrid | str | PathLike[str],
-        scene: SceneLike = None,
+        scene: SceneLike | None = None,
         *,
-        data: mujoco.MjData | None = None,
+        data: MjDataLike | None = None,
         force: bool = False,
         episodes: EpisodeSet | str | PathLike[str] | None = None,
         trajectories: Sequence[Trajectory] | str | PathLike[str] = (),
@@ -610,9 +608,9 @@ class Viewer(AbstractContextManager["Viewer"]):
 
 def view(
     grid: NavGrid | str | PathLike[str],
-    scene: SceneLike = None,
+    scene: SceneLike | None = None,
     *,
-    data: mujoco.MjData | None = None,
+    data: MjDataLike | None = None,
     host: str = HOST,
     port: int = PORT,
     open_page: bool = True,
@@ -668,9 +666,9 @@ def view(
 
 def make_view_state(
     grid: NavGrid | str | PathLike[str],
-    scene: SceneLike = None,
+    scene: SceneLike | None = None,
     *,
-    data: mujoco.MjData | None = None,
+    data: MjDataLike | None = None,
     force: bool = False,
     episodes: EpisodeSet | str | PathLike[str] | None = None,
     trajectories: Sequence[Trajectory] | str | PathLike[str] = (),
