@@ -13,6 +13,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from navbake.episodes.episode import Episode
+from navbake.errors import count_of
+from navbake.navgrid.colors import STAND
 from navbake.runtime.paths import Path
 from navbake.types import Json
 from navbake.views.layers import DISAGREEMENTS, Panel
@@ -22,11 +24,14 @@ from navbake.views.viewer.view_state import (
     CLICK_TEXTS,
     GOAL_COLOR,
     INSPECT_TEXT,
+    REACH_TEXT,
+    ROUTE_TEXT,
     START_COLOR,
     TRAJECTORY_COLOR,
     Choices,
     FreeSpace,
     Inspection,
+    StandView,
     ViewState,
 )
 
@@ -51,6 +56,9 @@ MIN_SNAP_DISTANCE = 0.005  # ends of paths that are nearer to their clicks are w
 HINT_INSPECT = "Click a cell or a thing to read about it."
 HINT_START = "Click where the path starts."
 HINT_GOAL = "Click where it goes to."
+HINT_REACH = "Click a thing, or a place on the floor, that a robot is to reach."
+MAX_REACH = 2.0  # end of the slider for the reach [m]
+REACH_STEP = 0.05  # [m]
 MAX_LISTED_NAMES = 6  # most names in a list; the text says how many more there are
 # measure of a trajectory -> its title on the page, and its unit
 SCORE_TITLES = {
@@ -196,6 +204,18 @@ class Controls:
         self._add_input("click", click_input, _make_setter("click"))
         self._handles["cell"] = gui.add_markdown("")
         self._handles["route"] = gui.add_markdown("")
+        reach_slider = gui.add_multi_slider(
+            "Reach [m]",
+            min=0.0,
+            max=MAX_REACH,
+            step=REACH_STEP,
+            initial_value=choices.reach,
+            hint="Least and greatest distance from the base's axis to the thing.",
+        )
+        self._add_input(
+            "reach", reach_slider, lambda reach: _make_setter("reach")(tuple(map(float, reach)))
+        )
+        self._handles["stands"] = gui.add_markdown("")
         clear_button = gui.add_button("Clear", visible=False)
         clear_button.on_click(lambda _: self._change(Choices.without_clicks))
         self._handles["clear"] = clear_button
@@ -290,7 +310,11 @@ class Controls:
             self._add_input("hidden", hidden_checkbox, _make_setter("with_hidden"))
 
     def update(
-        self, choices: Choices, route: Path | str | None, inspection: Inspection | None
+        self,
+        choices: Choices,
+        route: Path | str | None,
+        inspection: Inspection | None,
+        stand_view: StandView | None,
     ) -> None:
         """Update the texts, and the inputs that depend on the choices.
 
@@ -298,6 +322,7 @@ class Controls:
             choices: the user's choices.
             route: the path between the clicks, or why there is none; None if a click is missing.
             inspection: the inspected cell, None for none.
+            stand_view: where a base can stand to reach the clicked thing; None without a click.
         """
         view_state = self._view_state
         handles = self._handles
@@ -315,6 +340,8 @@ class Controls:
             handles["task"].content = "\n\n".join(filter(None, (task_text, scores_text)))
             if episode_run is not None and episode_run.trajectory is not None:
                 color_of_mark["trajectory"] = TRAJECTORY_COLOR
+        if stand_view is not None and len(stand_view.region):
+            color_of_mark["base in reach"] = STAND
         arc_colors = {arc.color for arc in view_state.arcs(choices)}
         color_of_mark |= {
             meaning: color for meaning, color in ARC_LEGEND.items() if color in arc_colors
@@ -325,12 +352,16 @@ class Controls:
         handles["verify"].visible = shows_disagreements
         handles["verified"].visible = shows_disagreements and view_state.report is not None
         handles["verified"].content = describe_report(view_state)
-        is_inspecting = choices.click == INSPECT_TEXT
-        handles["cell"].visible = is_inspecting
-        handles["route"].visible = not is_inspecting
+        is_reaching = choices.click == REACH_TEXT
+        handles["cell"].visible = choices.click == INSPECT_TEXT
+        handles["route"].visible = choices.click == ROUTE_TEXT
+        handles["reach"].visible = is_reaching
+        handles["stands"].visible = is_reaching
         handles["cell"].content = describe_inspection(inspection, choices.inflation)
         handles["route"].content = describe_route(choices, route)
-        handles["clear"].visible = any((choices.start, choices.goal, choices.inspected))
+        handles["stands"].content = describe_stands(stand_view)
+        clicks = (choices.start, choices.goal, choices.inspected, choices.reached)
+        handles["clear"].visible = any(clicks)
         self._update_inputs(choices)
 
     def _update_inputs(self, choices: Choices) -> None:
@@ -489,6 +520,27 @@ def describe_route(choices: Choices, route: Path | str | None) -> str:
     if len(levels) > 1:
         lines.append(f"Levels: {' → '.join(map(str, levels))}")
     return "\n\n".join(lines)
+
+
+def describe_stands(stand_view: StandView | None) -> str:
+    """Describe where a base can stand to reach the clicked thing.
+
+    Args:
+        stand_view: the poses and cells; None without a click.
+
+    Returns:
+        Markdown; without a click, what to click.
+    """
+    if stand_view is None:
+        return HINT_REACH
+    poses = stand_view.poses
+    (target,) = poses.targets
+    target_text = f"<code>{escape_markdown(target)}</code>"
+    if not len(poses):
+        return f"{target_text}: **no pose**: {escape_markdown(poses.why_not[target])}"
+    cells_text = count_of(len(stand_view.region), "cell")
+    nearest_text = escape_markdown(f"{poses.distances.min():.2f}")
+    return f"{target_text} is in reach from **{cells_text}**, the nearest pose at {nearest_text} m"
 
 
 def describe_inspection(

@@ -28,7 +28,7 @@ from navbake.errors import NavbakeError
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.scene_files import find_inputs
 from navbake.mujoco_types import MjDataLike, MjModelLike, MjSpecLike
-from navbake.navgrid.colors import rgb_of
+from navbake.navgrid.colors import STAND, rgb_of
 from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.runtime.paths import Path as Route
 from navbake.scores import Trajectory, read_trajectories
@@ -52,6 +52,7 @@ from navbake.views.viewer.view_state import (
     Choices,
     Inspection,
     NameLabel,
+    StandView,
     ViewState,
     VisibleBatch,
     first_choices,
@@ -80,6 +81,9 @@ NO_SHADOWS: Shadows = {"cast_shadow": False, "receive_shadow": False}
 # without viser's logo, and without a way to share the page with others
 THEME: Any = {"show_logo": False, "show_share_button": False, "control_width": "medium"}
 PATH_LIFT = 0.06  # height of drawn lines over their positions [m]
+REGION_LIFT = 0.03  # height of shaded cells over the floor [m]
+# the line of a pose's arrow: ahead and to the left of its position [m]
+ARROW = ((0.0, 0.0), (0.25, 0.0), (0.17, 0.06), (0.25, 0.0), (0.17, -0.06))
 PATH_WIDTH = 5.0  # width of drawn lines [pixels]
 MARK_SHARE = 1 / 180  # radius of a mark, relative to the diagonal of the grid
 MIN_MARK_RADIUS = 0.06  # [m]
@@ -108,6 +112,14 @@ class Line(NamedTuple):
 
     positions: Float  # world frame, shape (n, 3) [m]
     color: str
+
+
+def _draw_arrow(position: Float, heading: float) -> Float:
+    """Return the line of an arrow from a position along a heading [rad]: shape (5, 3) [m]."""
+    cos = math.cos(heading)
+    sin = math.sin(heading)
+    offsets = [(cos * ahead - sin * left, sin * ahead + cos * left, 0.0) for ahead, left in ARROW]
+    return np.asarray(position + np.array(offsets))
 
 
 class ShownNodes(NamedTuple):
@@ -357,12 +369,14 @@ class Viewer(AbstractContextManager["Viewer"]):
         view_state = self._view_state
         route = view_state.route(choices)
         inspection = view_state.inspect(choices)
+        stand_view = view_state.stands(choices)
         with self._server.atomic():
             self._draw_grid(choices)
             self._draw_route(choices, route)
             self._draw_run(choices)
             self._draw_inspection(inspection)
-            self._controls.update(choices, route, inspection)
+            self._draw_stands(stand_view)
+            self._controls.update(choices, route, inspection, stand_view)
         self._draw_scene(choices)
         return choices
 
@@ -454,9 +468,35 @@ class Viewer(AbstractContextManager["Viewer"]):
             # the pole is seen where furniture hides the cell
             pole_ends = inspection.outline[:4].mean(axis=0) + CELL_POLE
             lines = [Line(inspection.outline, HIGHLIGHT_COLOR), Line(pole_ends, HIGHLIGHT_COLOR)]
-        self._replace_nodes("/lit", corners.tobytes(), lambda: self._add_highlight(corners))
+        self._replace_nodes("/lit", corners.tobytes(), lambda: self._add_highlight("/lit", corners))
         self._replace_nodes(
             "/cell", outline_key, lambda: self._add_marks_and_lines("/cell", [], lines, radius=0)
+        )
+
+    def _draw_stands(self, stand_view: StandView | None) -> None:
+        """Draw where a base can stand to reach the clicked thing, and highlight that thing."""
+        marks: list[Mark] = []
+        lines: list[Line] = []
+        region: Float = np.empty((0, 4, 3))
+        corners: Reals = np.empty((0, 3))
+        if stand_view is not None:
+            poses = stand_view.poses
+            marks = [Mark(position, STAND) for position in poses.positions.tolist()]
+            lines = [
+                Line(_draw_arrow(position, heading), STAND)
+                for position, heading in zip(poses.positions, poses.headings.tolist(), strict=True)
+            ]
+            region = stand_view.region
+            corners = stand_view.highlighted.reshape(-1, 3)
+        self._replace_nodes(
+            "/reached", corners.tobytes(), lambda: self._add_highlight("/reached", corners)
+        )
+        self._replace_nodes("/region", region.tobytes(), lambda: self._add_region(region))
+        radius = self._mark_radius() / 2
+        self._replace_nodes(
+            "/poses",
+            repr((marks, lines)),
+            lambda: self._add_marks_and_lines("/poses", marks, lines, radius),
         )
 
     def _mark_radius(self) -> float:
@@ -559,10 +599,34 @@ class Viewer(AbstractContextManager["Viewer"]):
                 thickness_units="screen",
             )
 
-    def _add_highlight(self, corners: Reals) -> Iterator[viser.SceneNodeHandle]:
+    def _add_region(self, region: Float) -> Iterator[viser.SceneNodeHandle]:
+        """Shade cells on the floor.
+
+        Args:
+            region: the corners of the cells, world frame [m], shape (n, 4, 3).
+
+        Yields:
+            The node; nothing without cells.
+        """
+        if not len(region):
+            return
+        first_corners = 4 * np.arange(len(region))[:, None, None]
+        yield self._scene.add_mesh_simple(
+            "/region/0",
+            region.reshape(-1, 3) + np.array([0.0, 0.0, REGION_LIFT]),
+            (first_corners + np.array([[0, 2, 1], [0, 3, 2]])).reshape(-1, 3),
+            color=rgb_of(STAND),
+            opacity=0.5,
+            flat_shading=True,
+            side="double",
+            **NO_SHADOWS,
+        )
+
+    def _add_highlight(self, name: str, corners: Reals) -> Iterator[viser.SceneNodeHandle]:
         """Add triangles over the highlighted objects, a little larger than these.
 
         Args:
+            name: the node's name begins with this.
             corners: the corners of the triangles, three rows for each, world frame [m], shape
                 (3 n, 3).
 
@@ -574,7 +638,7 @@ class Viewer(AbstractContextManager["Viewer"]):
         middle = corners.mean(axis=0)
         half_size = np.maximum(np.abs(corners - middle).max(axis=0), HIGHLIGHT_MARGIN)
         yield self._scene.add_mesh_simple(
-            "/lit/0",
+            f"{name}/0",
             middle + (corners - middle) * (1 + HIGHLIGHT_MARGIN / half_size),
             np.arange(len(corners)).reshape(-1, 3),
             color=rgb_of(HIGHLIGHT_COLOR),

@@ -23,8 +23,10 @@ from navbake.errors import QueryError
 from navbake.navgrid import colors
 from navbake.navgrid.cells import place_at
 from navbake.navgrid.grid import NavGrid
+from navbake.runtime.name_map import NO_ENTRY
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.paths import Path
+from navbake.runtime.stand import StandPoses
 from navbake.scores import Trajectory, score_set
 from navbake.types import Bool, Float, Json
 from navbake.views.describe import Arc, list_arcs
@@ -69,12 +71,14 @@ SNAP_DISTANCE = 0.3  # a click that is so near to free floor counts as on it [m]
 LETTER_WIDTH = 0.65  # estimated width of a letter, relative to its height
 INSPECT_TEXT = "tells about the cell"
 ROUTE_TEXT = "sets start, then goal"
-CLICK_TEXTS = (INSPECT_TEXT, ROUTE_TEXT)
+REACH_TEXT = "shows where a base reaches it"
+CLICK_TEXTS = (INSPECT_TEXT, ROUTE_TEXT, REACH_TEXT)
 """What a click may do, as the page words it."""
 # how many results of a method are kept, so that going back to a choice is fast
 NUM_CACHED_RESULTS = 6
 SAMPLE_SIZE = 20_000  # number of cells that a verification looks at
 MAX_NAMES = 250  # most names that are written; those of the largest rooms come first
+REACH = (0.3, 0.8)  # at first, how near to a thing its base has to be [m]
 # corners of a cell as multiples of half its side; the first is repeated at the end
 CELL_OUTLINE = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0), (-1, -1, 0)])
 
@@ -101,6 +105,8 @@ class Choices:
         start: the start of the path, None for none.
         goal: the goal of the path, None for none.
         inspected: the cell that is described, None for none.
+        reached: the click on the thing that a robot's base is to reach, None for none.
+        reach: least and greatest distance from the base's axis to that thing [m].
         episode: the id of the shown episode, empty for none.
     """
 
@@ -117,6 +123,8 @@ class Choices:
     start: Pick | None = None
     goal: Pick | None = None
     inspected: Pick | None = None
+    reached: Pick | None = None
+    reach: tuple[float, float] = REACH
     episode: str = ""
 
     def with_level(self, grid: NavGrid, level_number: int | None) -> Choices:
@@ -148,12 +156,14 @@ class Choices:
 
     def without_clicks(self) -> Choices:
         """Return the choices without clicked cells."""
-        return replace(self, start=None, goal=None, inspected=None)
+        return replace(self, start=None, goal=None, inspected=None, reached=None)
 
     def with_click(self, clicked: Pick | None) -> Choices:
         """Return the choices after a click on a cell; None is a click outside of all cells."""
         if self.click == INSPECT_TEXT:
             return replace(self, inspected=clicked)
+        if self.click == REACH_TEXT:
+            return replace(self, reached=clicked)
         if clicked is None:
             return self
         if self.start is None or self.goal is not None:
@@ -192,6 +202,7 @@ def transfer_choices(choices: Choices, grid: NavGrid) -> Choices:
         levels=tuple(level for level in choices.levels if level in all_levels) or all_levels,
         doors=tuple(door for door in choices.doors if door in door_states),
         inspected=find_again(choices.inspected),
+        reached=find_again(choices.reached),
         start=new_start,
         goal=find_again(choices.goal) if new_start else None,
     )
@@ -277,6 +288,22 @@ class Inspection(NamedTuple):
     clicked: str | None
     highlighted: NDArray[np.float32]
     outline: Float
+
+
+class StandView(NamedTuple):
+    """Where a robot's base can stand to reach the clicked thing, as the page shows it.
+
+    Attributes:
+        poses: poses from which it is reached, see `PathFinder.stand_poses`; maybe none.
+        region: the cells from which it is reached: their corners, world frame [m], shape
+            (n, 4, 3).
+        highlighted: the corners of the drawn triangles of the thing, world frame [m], shape
+            (k, 3, 3).
+    """
+
+    poses: StandPoses
+    region: Float
+    highlighted: NDArray[np.float32]
 
 
 def cache_results_by(*fields: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
@@ -582,6 +609,48 @@ class ViewState:
             return finder.find_path(start, goal) or finder.why_not(start, goal) or "no path"
         except QueryError as error:
             return str(error)
+
+    @cache_results_by("doors", "inflation", "click", "reached", "reach", "with_scene", "cut")
+    def stands(self, choices: Choices) -> StandView | None:
+        """Find where a base as wide as the agent can stand to reach the clicked thing.
+
+        The thing is the clicked object, door or wall. Where none was clicked, it is the place on
+        the floor, or of a grid without a scene the first object in the cell.
+
+        Args:
+            choices: the user's choices.
+
+        Returns:
+            The poses and the region; None without a click.
+        """
+        clicked = choices.reached
+        if clicked is None or choices.click != REACH_TEXT:
+            return None
+        finder = self.finder(choices)
+        flat = finder.search.flat
+        names = finder.search.names
+        drawing = self.drawing(choices)
+        object_names: list[str] = []
+        if drawing is None:
+            clicked_cell = flat.cells_at(clicked.position, clicked.cell.level)
+            cell_entry = int(names.entry_of_cell[clicked_cell])
+            if cell_entry != NO_ENTRY:
+                object_names = sorted(names.entries[cell_entry].objects)
+        elif clicked.geom is not None and drawing.names[clicked.geom] in names.entries_of_name:
+            object_names = [drawing.names[clicked.geom]]
+        target = f"object:{object_names[0]}" if object_names else clicked.position
+        poses = finder.stand_poses(target, reach=choices.reach)
+        region = finder.stand_region(target, reach=choices.reach)
+        positions = flat.positions(
+            np.flatnonzero(np.concatenate([mask.ravel() for mask in region]))
+        )
+        half_side = self.grid.levels[0].lattice.cell_size / 2
+        corners = positions[:, None] + half_side * CELL_OUTLINE[:4]
+        highlighted_triangles = np.empty((0, 3, 3), np.float32)
+        if drawing is not None and object_names:
+            geoms = [geom for geom, name in enumerate(drawing.names) if name == object_names[0]]
+            highlighted_triangles = select_triangles(self.surfaces(choices), geoms)
+        return StandView(poses, corners, highlighted_triangles)
 
     @cache_results_by("doors", "inflation", "episode")
     def episode_path(self, choices: Choices) -> Float:

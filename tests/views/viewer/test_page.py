@@ -17,7 +17,12 @@ from browser import (
     strangers_of,
     wait_until,
 )
-from navbake.views.viewer.controls import HINT_GOAL, describe_inspection, escape_markdown
+from navbake.views.viewer.controls import (
+    HINT_GOAL,
+    HINT_REACH,
+    describe_inspection,
+    escape_markdown,
+)
 from navbake.views.viewer.server import PageServer
 from navbake.views.viewer.view_state import Inspection
 from viewer_page import ViewerPage, run_view
@@ -92,6 +97,18 @@ def test_two_clicks_make_a_path(shown):
     assert 0.5 < length < 6
     page.press("Clear")
     page.wait_for("Click where the path starts.", PATIENCE)
+
+
+def test_a_click_shows_where_a_base_reaches_a_place(shown):
+    page, *_ = shown
+    page.choose("A click", "shows where a base reaches it")
+    page.wait_for(HINT_REACH, PATIENCE)
+    before = picture_of(page)
+    page.click_at(0.3, 0.4)
+    page.wait_for("is in reach from", PATIENCE)
+    wait_for_other(page, before)
+    page.press("Clear")
+    page.wait_for(HINT_REACH, PATIENCE)
 
 
 def test_a_click_tells_why(shown):

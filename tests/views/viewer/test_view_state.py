@@ -19,6 +19,7 @@ from navbake.views.viewer.view import make_view_state
 from navbake.views.viewer.view_state import (
     INSPECT_TEXT,
     NAME_HEIGHT,
+    REACH_TEXT,
     ROUTE_TEXT,
     EpisodeRun,
     ViewState,
@@ -112,6 +113,36 @@ def test_a_cell_tells_what_blocks_it_and_that_is_lit(room, chosen):
         room.inspect(near), (0.3, 0.0)
     )
     assert texts.describe_inspection(room.inspect(chosen), None) == texts.HINT_INSPECT
+
+
+def test_a_click_shows_where_a_base_reaches_the_thing(room, chosen):
+    now = replace(chosen, click=REACH_TEXT, inflation=(0.2, 0.0))
+    assert room.stands(now) is None and texts.describe_stands(None) == texts.HINT_REACH
+    now = now.with_click(at(room, 1.02, 0.52, geom=4))
+    stand_view = room.stands(now)
+    finder = navbake.PathFinder(room.grid.inflate(0.2))
+    expected = finder.stand_poses("object:table")
+    np.testing.assert_array_equal(stand_view.poses.positions, expected.positions)
+    (region,) = finder.stand_region("object:table")
+    rows, cols = np.nonzero(region)
+    middles = room.grid.lattice.positions(rows, cols)
+    np.testing.assert_allclose(stand_view.region.mean(axis=1)[:, :2], middles)
+    np.testing.assert_allclose(np.ptp(stand_view.region[..., :2], axis=1), 0.1)
+    corners = stand_view.highlighted.reshape(-1, 3)
+    np.testing.assert_allclose(corners.max(axis=0), [1.3, 0.8, 0.7], atol=0.02)
+    text = texts.describe_stands(stand_view).replace("\\", "")
+    assert f"<code>table</code> is in reach from **{len(rows)} cells**" in text
+    nearer = room.stands(replace(now, reach=(0.2, 0.4)))
+    assert 0 < len(nearer.region) < len(rows) and nearer.poses.distances.max() <= 0.4
+    place = room.stands(now.with_click(at(room, -1.5, 1.0)))  # a place on the floor
+    assert place.poses.targets == ("-1.5, 1, 0",) and not len(place.highlighted)
+    none = room.stands(replace(now, reach=(0.0, 0.05)))
+    assert not len(none.poses) and not len(none.region)
+    assert "**no pose**: no cell at 0 to 0.05 m" in texts.describe_stands(none).replace("\\", "")
+    assert room.stands(replace(now, click=INSPECT_TEXT)) is None
+    assert now.without_clicks().reached is None
+    alone = ViewState(room.grid)  # without a scene, the cell's object counts
+    assert alone.stands(now).poses.targets == ("table",)
 
 
 def test_what_is_lit_obeys_the_cut_and_goes_with_the_mode(room, chosen):
