@@ -171,7 +171,7 @@ def find_inputs(
         for name in dict.fromkeys(mesh.attributes.get("filename", "") for mesh in meshes):
             add_existing(list_mesh_paths(scene, name, packages), only_first=True)
     elif elements:
-        for candidates in _list_mjcf_paths(scene, read_file, with_textures):
+        for candidates in _list_mjcf_paths(scene, elements, read_file, with_textures):
             add_existing(candidates)
     if suffix in SDF_SUFFIXES | USD_SUFFIXES:
         unread_files = [scene]
@@ -395,9 +395,18 @@ class _MjcfFile(NamedTuple):
 
 
 def _list_mjcf_paths(
-    scene: Path, read_file: Callable[[Path], bytes], with_textures: bool
+    scene: Path,
+    elements: list[StartTag],
+    read_file: Callable[[Path], bytes],
+    with_textures: bool,
 ) -> list[list[Path]]:
     """Return, for each file that MJCF names, its possible paths.
+
+    Args:
+        scene: the main file.
+        elements: its elements, from `_list_elements`.
+        read_file: returns the content of a file; empty if there is no such file.
+        with_textures: whether to list the files of textures and skins, too.
 
     Raises:
         SceneError: there are more than `MAX_CANDIDATES` paths, as few names and few folders make.
@@ -409,7 +418,7 @@ def _list_mjcf_paths(
     compiler_folders = {""}
     unread_files = [_MjcfFile(scene, scene.parent)]
     searched_files = set[tuple[str, ...]]()
-    elements_of_file = dict[str, list[StartTag]]()
+    elements_of_file = {os.path.realpath(scene): elements}
     while unread_files:
         file = unread_files.pop()
         real_path = os.path.realpath(file.path)

@@ -132,11 +132,14 @@ class HullRoomTest:
 
     def _search_hull(self, geom: int) -> str:
         """Find what the hull of a mesh geom hides, see `find_hidden`, by casting vertical lines."""
-        mesh_shapes = self._collect(geom, "surface")
         hull_shapes = self._collect(geom, "hull")
         bounds = hull_shapes.bounds
         if bounds is None or not np.isfinite(bounds).all():
             return ""
+        is_large = self.is_large(geom)
+        if not is_large and _measure_shadow(hull_shapes) < MIN_GROUND_AREA - LIMIT_SLACK:
+            return ""
+        mesh_shapes = self._collect(geom, "surface")
         x_min, y_min, x_max, y_max = bounds[:, :2].ravel().tolist()
         width = x_max - x_min
         depth = y_max - y_min
@@ -148,7 +151,7 @@ class HullRoomTest:
         mesh_columns = cast_columns(tile_shapes(mesh_shapes, lattice, spacing / 2))
         hull_columns = cast_columns(tile_shapes(hull_shapes, lattice, spacing / 2))
         has_room = _mark_room(mesh_columns, hull_columns, self.agent.height)
-        if self.is_large(geom) and is_large_enough(lattice, self.floors, has_room):
+        if is_large and is_large_enough(lattice, self.floors, has_room):
             return STANDING_ROOM_TEXT
         if not self._may_hide_ground(geom):
             return ""
@@ -176,6 +179,16 @@ def _measure_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> list[list[floa
     # Floats of Python, as NumPy's would warn of an area beyond all floats.
     box_size_lists: list[list[float]] = box_sizes[:, :, 0].tolist()
     return box_size_lists
+
+
+def _measure_shadow(hull_shapes: Shapes) -> float:
+    """Return the area that a convex hull covers, seen from above [m²]."""
+    (hull,) = hull_shapes.meshes.triangles
+    x, y = np.moveaxis(hull.vertices[hull.faces][:, :, :2], 2, 0)
+    # twice the area of each face, seen from above; negative for faces that face down
+    double_areas = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0])
+    double_areas -= (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
+    return float(np.abs(double_areas).sum()) / 4
 
 
 def _mark_room(mesh_columns: Columns, hull_columns: Columns, min_height: float) -> Bool:
