@@ -24,7 +24,6 @@ from navbake.baker.floors.level_assignment import (
 from navbake.baker.floors.outline import (
     OccupancyTest,
     RegionContext,
-    make_region_context,
     mark_cropped_sides,
 )
 from navbake.baker.floors.reach import (
@@ -143,7 +142,7 @@ def find_floors(
         is_large = find_large_regions(
             regions, np.ones(regions.num_regions, dtype=np.bool_), settings
         )
-        return make_region_context(
+        return RegionContext(
             regions=regions,
             is_large=is_large,
             columns=columns,

@@ -8,6 +8,8 @@ ask how regions end.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -90,7 +92,8 @@ class ListedEdges(NamedTuple):
     has_drop: Int
 
 
-class RegionContext(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class RegionContext:
     """The regions of a scene with their edges, for the rules that find tops, roofs and shelves.
 
     Attributes:
@@ -102,9 +105,6 @@ class RegionContext(NamedTuple):
         is_occupied: tests whether something stands on a floor in some cells.
         is_cropped: whether the scene goes on beyond the lattice's sides east, south, west and
             north, shape (4,), bool.
-        edges: the edges of the large regions.
-        num_cells_beyond: how many cells beyond an edge, straight out of the region, are searched
-            for lower floors.
     """
 
     regions: Regions
@@ -114,8 +114,33 @@ class RegionContext(NamedTuple):
     settings: FloorSettings
     is_occupied: OccupancyTest
     is_cropped: Bool
-    edges: ListedEdges
-    num_cells_beyond: int
+
+    @property
+    def num_cells_beyond(self) -> int:
+        """The number of cells straight beyond an edge in which lower floors are searched."""
+        return int(np.ceil(self.settings.shrink / self.regions.lattice.cell_size)) + 1
+
+    @cached_property
+    def edges(self) -> ListedEdges:
+        """The edges of the large regions; they are listed when they are first asked for."""
+        regions = self.regions
+        lowest_z = regions.lowest_z[self.is_large].min(initial=np.inf)
+        _, (edge_rows,) = regions.blocks.list_rows(
+            list_edges,
+            (NO_EDGES,),
+            regions.label_surfaces(self.is_large),
+            lowest_z,
+            self.agent.traversable_floor_height,
+            self.num_cells_beyond,
+        )
+        component, cell, surface_id, direction, has_drop = edge_rows.T
+        return ListedEdges(
+            region=regions.region_of_component[component],
+            cell=cell,
+            surface_id=surface_id,
+            direction=direction,
+            has_drop=has_drop,
+        )
 
     def cast_ahead(self, cells: Int) -> None:
         """Cast the columns of many cells at once, so that later requests for some of them are fast.
@@ -305,57 +330,6 @@ class RegionContext(NamedTuple):
         marked_fraction = np.full(len(num_counted), np.nan)
         np.divide(num_marked, num_counted, out=marked_fraction, where=num_counted > 0)
         return marked_fraction
-
-
-def make_region_context(
-    regions: Regions,
-    is_large: Bool,
-    columns: ColumnSource,
-    is_cropped: Bool,
-    agent: AgentSettings,
-    settings: FloorSettings,
-    is_occupied: OccupancyTest,
-) -> RegionContext:
-    """Make the context of the rules for tops, roofs and shelves: list the edges of large regions.
-
-    Args:
-        regions: all regions.
-        is_large: which regions are large enough for floors, shape (regions,), bool.
-        columns: the hits of all columns.
-        is_cropped: whether the scene goes on beyond the lattice's sides east, south, west and
-            north, shape (4,), bool.
-        agent: the agent whose floors are found.
-        settings: the settings of `floors`.
-        is_occupied: tests whether something stands on a floor in some cells.
-    """
-    num_cells_beyond = int(np.ceil(settings.shrink / regions.lattice.cell_size)) + 1
-    lowest_z = regions.lowest_z[is_large].min(initial=np.inf)
-    _, (edge_rows,) = regions.blocks.list_rows(
-        list_edges,
-        (NO_EDGES,),
-        regions.label_surfaces(is_large),
-        lowest_z,
-        agent.traversable_floor_height,
-        num_cells_beyond,
-    )
-    component, cell, surface_id, direction, has_drop = edge_rows.T
-    return RegionContext(
-        regions=regions,
-        is_large=is_large,
-        columns=columns,
-        agent=agent,
-        settings=settings,
-        is_occupied=is_occupied,
-        is_cropped=is_cropped,
-        edges=ListedEdges(
-            region=regions.region_of_component[component],
-            cell=cell,
-            surface_id=surface_id,
-            direction=direction,
-            has_drop=has_drop,
-        ),
-        num_cells_beyond=num_cells_beyond,
-    )
 
 
 def find_highest_below(

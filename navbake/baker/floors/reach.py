@@ -6,7 +6,7 @@ which are too low to stand upright in, and floors inside of closed meshes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,6 @@ from navbake.baker.floors.outline import (
     DROP,
     RegionContext,
     find_neighbor_cells,
-    make_region_context,
 )
 from navbake.baker.floors.region_kernels import RegionSurfaces
 from navbake.baker.floors.regions import (
@@ -151,15 +150,7 @@ def _find_floor_beside(
         The id of the floor's region; `furniture_region` if no edge drops to a floor.
     """
     is_furniture = np.arange(len(may_start)) == furniture_region
-    context_with_furniture = make_region_context(
-        regions=region_context.regions,
-        is_large=may_start | is_furniture,
-        columns=region_context.columns,
-        is_cropped=region_context.is_cropped,
-        agent=region_context.agent,
-        settings=region_context.settings,
-        is_occupied=region_context.is_occupied,
-    )
+    context_with_furniture = replace(region_context, is_large=may_start | is_furniture)
     edges = context_with_furniture.select_edges(
         is_furniture, context_with_furniture.num_cells_beyond
     )

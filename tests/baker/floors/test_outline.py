@@ -15,7 +15,7 @@ from navbake.baker.floors.outline import (
     DROP,
     OPEN,
     WALL,
-    make_region_context,
+    RegionContext,
 )
 from navbake.baker.floors.regions import find_large_regions
 from navbake.baker.occupancy.footprint import Footprint
@@ -59,7 +59,7 @@ def endings_at(tmp_path: Path):
         is_large = find_large_regions(regions, regions.num_surfaces > 0, settings)
         members = [regions.surfaces_of(region) for region in range(regions.num_regions)]
         at_height = is_large & [np.isclose(surfaces.z, z).any() for surfaces in members]
-        context = make_region_context(
+        context = RegionContext(
             regions=regions,
             is_large=is_large,
             columns=columns,
