@@ -148,10 +148,12 @@ def orient_meshes(
         )
         return _turn_up(meshes, AXIS_VECTORS.get(direction_name, best_orientation.direction))
     if is_clear and best_orientation.direction[2] < -MIN_FACING_COSINE:
+        hint = f"`scene.up: {_name_direction(best_direction_in_file)}` turns the mesh over"
+        if is_auto_without_axis:
+            hint += ", `scene.up: y` is right if the file has y up, as many have that state no axis"
         warnings.append(
             f"this floor may be a ceiling: next to nothing stands on it, and "
-            f"{best_orientation.furniture_area:.1f} m² hang from a surface like it above: "
-            f"`scene.up: {_name_direction(best_direction_in_file)}` turns the mesh over"
+            f"{best_orientation.furniture_area:.1f} m² hang from a surface like it above: {hint}"
         )
     elif settings.up == "auto" and lies_on_side(meshes, sample):
         axis_name = _name_direction(np.abs(to_file_frame[:, 1]))

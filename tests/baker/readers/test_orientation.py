@@ -163,6 +163,13 @@ def test_a_ceiling_is_told_from_a_floor(tmp_path, up):
     path = scan(tmp_path / "scan.ply", np.array(AXIS_VECTORS["-y"]))
     (warning,) = ceilings(bake(path, up=up))
     assert "`scene.up: -y` turns the mesh over" in warning
+    assert "has y up" not in warning
+
+
+def test_a_ceiling_in_a_file_without_an_axis_may_be_a_wall(tmp_path):
+    path = scan(tmp_path / "scan.ply", np.array(AXIS_VECTORS["-z"]))
+    (warning,) = ceilings(bake(path))
+    assert "`scene.up: -z` turns the mesh over, `scene.up: y` is right if" in warning
 
 
 def test_level_says_that_an_empty_room_may_be_either_way_up(tmp_path):
