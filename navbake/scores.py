@@ -597,9 +597,10 @@ class Measures(EpisodeMeasures):
 class FlightMeasures(EpisodeMeasures):
     """Measures one episode of a flight: add the positions of the ball, then ask for the scores.
 
-    Distances are those of `VoxelFinder.costs_at`, through the air. Where the ball meets an occupied
-    voxel, the distance from the nearest place where it fits counts, plus the distance to that
-    place. Collisions are moves on which it meets one.
+    Distances are straight where the ball can fly straight to the goal, else those of
+    `VoxelFinder.costs_at`, over voxels. Where the ball meets an occupied voxel, the distance from
+    the nearest place where it fits counts, plus the distance to that place. Collisions are moves on
+    which it meets one.
 
     Args:
         finder: a finder in the set's voxels for its ball, see
@@ -634,17 +635,27 @@ class FlightMeasures(EpisodeMeasures):
         lower, upper = self.finder.voxels.bounds
         is_inside = ((new_positions >= lower) & (new_positions < upper)).all(axis=1)
         _check_all_inside(is_inside, new_positions, position_label, self.episode.id, "voxels")
-        (field,) = self._stops.distance_fields
-        distances = self.finder.costs_at(field, new_positions)
+        distances = self._measure_free_distances(new_positions)
         blocked_indices = np.flatnonzero(~self.finder.is_free(new_positions))
         if len(blocked_indices):
             blocked_positions = new_positions[blocked_indices]
             places = self.finder.snap(blocked_positions.tolist(), max_distance=MAX_SNAP_DISTANCE)
             is_near = ~np.isnan(places[:, 0])
             snap_distances = np.linalg.norm(places - blocked_positions, axis=1)[is_near]
-            near_indices = blocked_indices[is_near]
-            distances[near_indices] = self.finder.costs_at(field, places[is_near]) + snap_distances
+            free_distances = self._measure_free_distances(places[is_near])
+            distances[blocked_indices[is_near]] = free_distances + snap_distances
         return distances[None]
+
+    def _measure_free_distances(self, positions: Float) -> Float:
+        """Compute the distance to the goal [m] from positions; inf where the ball doesn't fit."""
+        [field] = self._stops.distance_fields
+        [goals] = self._stops.places
+        distances = self.finder.costs_at(field, positions)
+        for goal in goals:
+            is_clear = self.finder.sees(positions, goal)
+            straight_distances = np.linalg.norm(positions - goal, axis=1)
+            distances = np.where(is_clear, np.minimum(distances, straight_distances), distances)
+        return distances
 
     def _find_reference_path(self) -> Sequence[Vector3]:
         if self.episode.path:

@@ -224,6 +224,8 @@ def view(
     force: bool = flag("--force", "Show GRID in a scene that it wasn't baked from."),
     episodes: Path | None = option("EPISODES", "A set of episodes to show."),
     trajectories: Path | None = option("FILE", "Where an agent was: .jsonl or .npz."),
+    voxels: Path | None = option("VOXELS", "Voxels to show, below a cut."),
+    flight: Path | None = option("JSON", "A path that `navbake fly` wrote, to show as a tube."),
 ) -> None:
     """Show a grid in its scene, in the browser, until Ctrl-C.
 
@@ -232,6 +234,7 @@ def view(
     Example: navbake view my_scene.yaml --set grid.cell_size=0.1
     """
     from navbake.config.settings import load_config
+    from navbake.formats.flights import read_flight
     from navbake.views.viewer.server import PageServer
     from navbake.views.viewer.view import Viewer, Watch, find_watched_files, watch_grid
     from navbake.views.viewer.view_state import ViewState
@@ -246,6 +249,9 @@ def view(
         from navbake.baker.bake.pipeline import run_bake
         from navbake.baker.scene.scene import load_scene, load_scene_file
 
+        # before the bake, which may be slow
+        voxel_grid = None if voxels is None else navbake.load_voxels(voxels)
+        flight_path = None if flight is None else read_flight(flight)
         config = load_config(source, overrides or [])
         with printing.show_progress_bars(
             str(config.scene.id), printing.VERBOSITY.quiet
@@ -254,7 +260,7 @@ def view(
             grid = run_bake(config, progress=progress, scene_model=scene_model).grid
         print_warnings(list(grid.warnings))
         loaded_scene = load_scene(config, scene_model=scene_model)
-        return ViewState(grid, loaded_scene, config)
+        return ViewState(grid, loaded_scene, config, voxels=voxel_grid, flight=flight_path)
 
     is_grid = source.name.lower().endswith(GRID_SUFFIXES)
     options.refuse_unused(
@@ -268,7 +274,13 @@ def view(
     with PageServer(host, port, allowed=allow_origin or ()) as server:
         if is_grid:
             watch = watch_grid(
-                source, scene, force=force, episodes=episodes, trajectories=trajectories or ()
+                source,
+                scene,
+                force=force,
+                episodes=episodes,
+                trajectories=trajectories or (),
+                voxels=voxels,
+                flight=flight,
             )
         else:
             options.say_if_sample(source)

@@ -125,8 +125,8 @@ class Episode(Record, frozen=True, kw_only=True, omit_defaults=True):
     goals: tuple[Goal, ...]  #: Any one has to be reached; in a ``sequence`` all, in order.
     distance: Length | None = None
     """Length, seen from above, of the shortest path over cells to the nearest place of a goal, or
-    through all goals of a ``sequence`` [m]; of a flight, of the shortest route over voxels. None if
-    it is unknown or has no meaning."""
+    through all goals of a ``sequence`` [m]; of a flight, of the straight line or else the shortest
+    route over voxels. None if it is unknown or has no meaning."""
     straight: Length | None = None  #: Distance to the goals straight through the air [m].
     split: str | None = None  #: The part of the set that it belongs to, such as ``train``.
     room: str | None = None  #: Id of the room of the start.

@@ -39,10 +39,10 @@ PAIRS_PER_DRAW = 64
 class FlightRules(Record, frozen=True, kw_only=True):
     """The rules by which starts and goals of flights are drawn."""
 
-    min_distance: Length = 1.0  #: Least length of the shortest route over voxels [m].
-    max_distance: Length | None = None  #: Largest length of the shortest route [m].
+    min_distance: Length = 1.0  #: Least length of the shortest way [m].
+    max_distance: Length | None = None  #: Largest length of the shortest way [m].
     min_ratio: Annotated[float, msgspec.Meta(ge=1)] = 1.0
-    """Least ratio of the lengths of the shortest route and of the straight line."""
+    """Least ratio of the lengths of the shortest way and of the straight line."""
     reach: Length = 0.2  #: How near to the goal counts as reached, through the air [m].
 
 
@@ -89,8 +89,9 @@ def make_flight_episodes(
     """Draw episodes of flights. All can be solved, and equal arguments give equal sets.
 
     Starts and goals are uniform by volume over where the ball fits. An episode's ``distance`` is
-    the length of the shortest route over voxels, as `VoxelFinder.find_path` has it in ``cost``, and
-    ``path`` is the shortened path, with a point every 0.25 m or nearer.
+    the length of the straight line where the ball can fly along it, else of the shortest route over
+    voxels, as `VoxelFinder.find_path` has it in ``cost``. Its ``path`` is the shortened path, with
+    a point every 0.25 m or nearer.
 
     Args:
         finder: the voxels and the ball; its ``cost_of_clearance`` must be 0, since distances are
@@ -141,9 +142,14 @@ def make_flight_episodes(
             # parts of the air that nothing connects would be searched to their ends
             if finder.island_at(start) == finder.island_at(goal):
                 flight = finder.find_path(start, goal)
-            reason = _find_reason(flight, straight, rules)
-            if flight is None or reason is not None:
-                rejected[reason or "no path"] += 1
+            if flight is None:
+                rejected["no path"] += 1
+                num_failures += 1
+                continue
+            distance = straight if finder.sees(start, goal) else flight.cost
+            reason = _find_reason(distance, straight, rules)
+            if reason is not None:
+                rejected[reason] += 1
                 num_failures += 1
                 continue
             num_failures = 0
@@ -155,7 +161,7 @@ def make_flight_episodes(
                     start=_to_vector(start),
                     heading=heading,
                     goals=(Goal(position=_to_vector(goal), radius=rules.reach),),
-                    distance=flight.cost,
+                    distance=distance,
                     straight=straight,
                     path=list_flight_points(flight),
                 )
@@ -179,21 +185,19 @@ def make_flight_episodes(
     return EpisodeSet(header, tuple(episodes))
 
 
-def _find_reason(flight: FlightPath | None, straight: float, rules: FlightRules) -> str | None:
+def _find_reason(distance: float, straight: float, rules: FlightRules) -> str | None:
     """Return the reason for which the rules refuse a flight; None if they take it.
 
     Args:
-        flight: the flight, None if there is no path.
-        straight: distance from its start to its goal [m].
+        distance: length of the shortest way from its start to its goal [m].
+        straight: length of the straight line [m].
         rules: the rules.
     """
-    if flight is None:
-        return "no path"
-    if flight.cost < rules.min_distance:
+    if distance < rules.min_distance:
         return "too near"
-    if rules.max_distance is not None and flight.cost > rules.max_distance:
+    if rules.max_distance is not None and distance > rules.max_distance:
         return "too far"
-    if flight.cost < rules.min_ratio * straight:
+    if distance < rules.min_ratio * straight:
         return "too straight"
     return None
 

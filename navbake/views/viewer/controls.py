@@ -278,13 +278,20 @@ class Controls:
         picture_button.on_click(_call_with_client(self._save_picture))
 
     def _add_scene(self, choices: Choices) -> None:
-        """Add the inputs for the scene; without a scene, add nothing."""
+        """Add the inputs for scene and voxels; without both, add nothing."""
         gui = self._gui
         drawing = self._view_state.drawing(choices)
-        if drawing is None:
+        voxels = self._view_state.voxels
+        if drawing is None and voxels is None:
             return
         lowest_z = float(self._view_state.bounds[0, 2])
-        highest_z = max(float(drawing.bounds[1, 2]), lowest_z) + CUT_STEP
+        highest_z = lowest_z
+        if drawing is not None:
+            highest_z = max(float(drawing.bounds[1, 2]), highest_z)
+        if voxels is not None:
+            lowest_z = min(float(voxels.bounds[0, 2]), lowest_z)
+            highest_z = max(float(voxels.bounds[1, 2]), highest_z)
+        highest_z += CUT_STEP
         cut_height = highest_z if choices.cut is None else min(choices.cut, highest_z)
         cut_height = max(lowest_z, cut_height)
         slider_end = round(highest_z, 2)
@@ -299,9 +306,14 @@ class Controls:
             max=slider_end,
             step=CUT_STEP,
             initial_value=round(cut_height, 2),
-            hint="The scene is drawn up to here, so that one sees into storeys.",
+            hint="Scene and voxels are drawn up to here, so that one sees into storeys.",
         )
         self._add_input("cut", slider, make_cut_change)
+        if voxels is not None:
+            voxels_checkbox = gui.add_checkbox("Voxels", choices.with_voxels)
+            self._add_input("voxels", voxels_checkbox, _make_setter("with_voxels"))
+        if drawing is None:
+            return
         scene_checkbox = gui.add_checkbox("Scene", choices.with_scene)
         self._add_input("scene", scene_checkbox, _make_setter("with_scene"))
         if drawing.has_hidden:
@@ -331,7 +343,7 @@ class Controls:
             view_state.count(choices), view_state.count(baked_choices)
         )
         color_of_mark = {}
-        if choices.start or choices.episode:
+        if choices.start or choices.episode or view_state.flight is not None:
             color_of_mark = {"start": START_COLOR, "goal and path": GOAL_COLOR}
         if "task" in handles:
             episode_run = view_state.runs.get(choices.episode)

@@ -627,11 +627,11 @@ def _find_geom_colors(model: mujoco.MjModel) -> GeomColors:
         rgb_texture = texture_of_role[:, RGB_ROLE]
         texture_of_material = np.where(rgb_texture >= 0, rgb_texture, texture_of_role[:, RGBA_ROLE])
         texture_ids = np.where(material_ids >= 0, texture_of_material[material_ids], -1)
-    without_texture = _to_linear_rgba(rgba)
+    without_texture = to_linear_rgba(rgba)
     with_texture = without_texture.copy()
     for texture_id in np.unique(texture_ids[texture_ids >= 0]).tolist():
         mean_color = _read_texture(model, texture_id)[..., :3].mean(axis=(0, 1)) / 255
-        with_texture[texture_ids == texture_id, :3] *= _to_linear_rgba(mean_color)
+        with_texture[texture_ids == texture_id, :3] *= to_linear_rgba(mean_color)
     is_flat_texture = np.isin(texture_ids, np.flatnonzero(np.asarray(model.tex_type) == TEXTURE_2D))
     return GeomColors(with_texture, without_texture, np.where(is_flat_texture, texture_ids, -1))
 
@@ -649,7 +649,7 @@ def _read_texture(model: mujoco.MjModel, texture_id: int) -> Picture:
     return np.repeat(picture, 3, axis=2) if num_channels == 1 else picture
 
 
-def _to_linear_rgba(srgb_color: Reals) -> NDArray[np.float32]:
+def to_linear_rgba(srgb_color: Reals) -> NDArray[np.float32]:
     """Convert sRGB colours to linear light, shape (..., 3 or 4); the opacity stays."""
     srgb_color = np.asarray(srgb_color, dtype=np.float32)
     linear_color = to_linear(srgb_color)

@@ -25,8 +25,10 @@ from PIL import Image
 from navbake.episodes.episode import EpisodeSet, list_goal_positions
 from navbake.episodes.files import read_episodes
 from navbake.errors import NavbakeError
+from navbake.formats.flights import read_flight
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.scene_files import find_inputs
+from navbake.formats.voxels import read_voxels
 from navbake.mujoco_types import MjDataLike, MjModelLike, MjSpecLike
 from navbake.navgrid.colors import STAND, rgb_of
 from navbake.navgrid.grid import GridBase, NavGrid
@@ -59,10 +61,13 @@ from navbake.views.viewer.view_state import (
     list_runs,
     transfer_choices,
 )
+from navbake.voxels.finder import FlightPath
+from navbake.voxels.grid import VoxelGrid
 
 if TYPE_CHECKING:
     import trimesh
     import viser
+    from typing_extensions import Unpack
 
     from navbake.config.settings import BakeConfig
 
@@ -98,6 +103,18 @@ STORAGE_TIMEOUT = 5.0  # how long a browser may take to say what it stores [s]
 RENDER_TIMEOUT = 60.0  # how long it may take to draw a picture [s]
 LOG = logging.getLogger("navbake")
 WATCH_PERIOD = 0.5  # time between two checks of files [s]
+
+
+class ShownBeside(TypedDict, total=False):
+    """What the viewer shows beside the grid and its scene, or the paths of the files."""
+
+    episodes: EpisodeSet | str | PathLike[str] | None  #: A set of episodes.
+    trajectories: Sequence[Trajectory] | str | PathLike[str]
+    """An agent's trajectories in episodes; a file is one that `read_trajectories` reads."""
+    voxels: VoxelGrid | str | PathLike[str] | None
+    """Voxels, drawn up to a height that the reader chooses."""
+    flight: FlightPath | str | PathLike[str] | None
+    """A path of a ball through voxels, as a tube; a file is JSON that `FlightPath.save` wrote."""
 
 
 class Mark(NamedTuple):
@@ -207,13 +224,10 @@ class Viewer(AbstractContextManager["Viewer"]):
         *,
         data: MjDataLike | None = None,
         force: bool = False,
-        episodes: EpisodeSet | str | PathLike[str] | None = None,
-        trajectories: Sequence[Trajectory] | str | PathLike[str] = (),
+        **beside: Unpack[ShownBeside],
     ) -> None:
         """Replace the grid on the page; arguments and errors are those of `view`."""
-        view_state = make_view_state(
-            grid, scene, data=data, force=force, episodes=episodes, trajectories=trajectories
-        )
+        view_state = make_view_state(grid, scene, data=data, force=force, **beside)
         self._show_view_state(view_state)
 
     def open(self) -> None:
@@ -374,6 +388,7 @@ class Viewer(AbstractContextManager["Viewer"]):
             self._draw_grid(choices)
             self._draw_route(choices, route)
             self._draw_run(choices)
+            self._draw_flights(choices)
             self._draw_inspection(inspection)
             self._draw_stands(stand_view)
             self._controls.update(choices, route, inspection, stand_view)
@@ -387,6 +402,7 @@ class Viewer(AbstractContextManager["Viewer"]):
             choices.doors,
             choices.with_hidden,
             choices.with_scene,
+            choices.with_voxels,
             choices.cut,
         )
         if scene_key == self._scene_key:
@@ -396,6 +412,7 @@ class Viewer(AbstractContextManager["Viewer"]):
         self._replace_glb("/scene", self._view_state.scene_glb(choices))
         visible_batches = self._view_state.batches(choices)
         self._replace_nodes("/batches", scene_key, lambda: map(self._add_batch, visible_batches))
+        self._replace_glb("/voxels", self._view_state.voxel_glb(choices))
         self._scene_key = scene_key
         self._controls.show_status("")
 
@@ -443,7 +460,8 @@ class Viewer(AbstractContextManager["Viewer"]):
         marks = []
         lines = []
         episode_run = self._view_state.runs.get(choices.episode)
-        if episode_run is not None and episode_run.episode is not None:
+        is_flight = self._view_state.shown_flight_episode(choices) is not None
+        if episode_run is not None and episode_run.episode is not None and not is_flight:
             marks.append(Mark(episode_run.episode.start, START_COLOR))
             marks += [Mark(goal, GOAL_COLOR) for goal in list_goal_positions(episode_run.episode)]
             lines.append(Line(path, GOAL_COLOR))
@@ -455,6 +473,18 @@ class Viewer(AbstractContextManager["Viewer"]):
             "/run",
             (id(self._view_state), choices.episode, path.tobytes()),
             lambda: self._add_marks_and_lines("/run", marks, lines, radius),
+        )
+
+    def _draw_flights(self, choices: Choices) -> None:
+        """Draw the flight, and that of the chosen episode."""
+        glbs = self._view_state.flight_glbs(choices)
+        self._replace_nodes(
+            "/flights",
+            (id(self._view_state), choices.episode),
+            lambda: [
+                self._scene.add_glb(f"/flights/{index}", glb, **NO_SHADOWS)
+                for index, glb in enumerate(glbs)
+            ],
         )
 
     def _draw_inspection(self, inspection: Inspection | None) -> None:
@@ -680,8 +710,7 @@ def view(
     open_page: bool = True,
     force: bool = False,
     allow_origin: Sequence[str] = (),
-    episodes: EpisodeSet | str | PathLike[str] | None = None,
-    trajectories: Sequence[Trajectory] | str | PathLike[str] = (),
+    **beside: Unpack[ShownBeside],
 ) -> Viewer:
     """Show a grid in its scene, in the browser; see ``docs/viewer.md``.
 
@@ -701,8 +730,8 @@ def view(
         force: whether to show the grid even in a scene that it was not baked from.
         allow_origin: further addresses at which browsers may show the page, such as that of a
             proxy: ``https://lab.example.org``.
-        episodes: a set of episodes to show, or its file.
-        trajectories: an agent's trajectories in episodes, or a file that `read_trajectories` reads.
+        beside: ``episodes``, ``trajectories``, ``voxels`` and ``flight`` to show, each in memory or
+            the path of its file, see `ShownBeside`.
 
     Returns:
         A viewer. Its `close` closes the page, `wait` waits for Ctrl-C, `show` replaces the grid on
@@ -719,9 +748,7 @@ def view(
         >>> grid = navbake.bake("my_scene.xml")
         >>> navbake.view(grid, scene="my_scene.xml").wait()
     """
-    view_state = make_view_state(
-        grid, scene, data=data, force=force, episodes=episodes, trajectories=trajectories
-    )
+    view_state = make_view_state(grid, scene, data=data, force=force, **beside)
     viewer = Viewer(view_state, PageServer(host, port, allowed=allow_origin))
     if open_page:
         viewer.open()
@@ -734,10 +761,9 @@ def make_view_state(
     *,
     data: MjDataLike | None = None,
     force: bool = False,
-    episodes: EpisodeSet | str | PathLike[str] | None = None,
-    trajectories: Sequence[Trajectory] | str | PathLike[str] = (),
+    **beside: Unpack[ShownBeside],
 ) -> ViewState:
-    """Read the grid, scene, episodes and trajectories that the viewer shows.
+    """Read the grid, scene, episodes, trajectories, voxels and flight that the viewer shows.
 
     The arguments and errors are those of `view`.
     """
@@ -748,20 +774,40 @@ def make_view_state(
     if not isinstance(grid, GridBase):
         path = Path(grid)
         grid = read_navgrid(path)
-    if isinstance(episodes, str | PathLike):
-        episodes = read_episodes(episodes)
-    if isinstance(trajectories, str | PathLike):
-        trajectories = read_trajectories(trajectories)
-    runs = list_runs(grid, episodes, trajectories)
+    make_state = _read_beside(grid, **beside)
     try:
         loaded_scene, config, notes = find_source(grid, scene, path, force=force, data=data)
     except NoSceneError as error:
         if scene is not None:
             raise
         note = f"Without its scene: {error}"
-        return ViewState(grid, note=note, runs=runs, episodes=episodes)
+        return make_state(note=note)
     note = "; ".join(notes) if grid.navbake else ""
-    return ViewState(grid, loaded_scene, config, note=note, runs=runs, episodes=episodes)
+    return make_state(scene=loaded_scene, config=config, note=note)
+
+
+def _read_beside(
+    grid: NavGrid,
+    *,
+    episodes: EpisodeSet | str | PathLike[str] | None = None,
+    trajectories: Sequence[Trajectory] | str | PathLike[str] = (),
+    voxels: VoxelGrid | str | PathLike[str] | None = None,
+    flight: FlightPath | str | PathLike[str] | None = None,
+) -> partial[ViewState]:
+    """Return a ViewState of a grid that only lacks the scene, with what is shown beside it.
+
+    The arguments are those of `ShownBeside`.
+    """
+    if isinstance(episodes, str | PathLike):
+        episodes = read_episodes(episodes)
+    if isinstance(trajectories, str | PathLike):
+        trajectories = read_trajectories(trajectories)
+    if isinstance(voxels, str | PathLike):
+        voxels = read_voxels(voxels)
+    if isinstance(flight, str | PathLike):
+        flight = read_flight(flight)
+    runs = list_runs(grid, episodes, trajectories)
+    return partial(ViewState, grid, runs=runs, episodes=episodes, voxels=voxels, flight=flight)
 
 
 def watch_grid(
@@ -769,8 +815,7 @@ def watch_grid(
     scene: str | PathLike[str] | None,
     *,
     force: bool = False,
-    episodes: str | PathLike[str] | None = None,
-    trajectories: str | PathLike[str] | Sequence[Trajectory] = (),
+    **beside: Unpack[ShownBeside],
 ) -> Watch:
     """Watch the files of a grid and of its scene.
 
@@ -778,17 +823,14 @@ def watch_grid(
         grid: the grid's file.
         scene: the scene's file, None for the one that the grid names.
         force: whether to show the grid even in a scene that it was not baked from.
-        episodes: the file of a set of episodes to show; None for none.
-        trajectories: an agent's trajectories in episodes, or their file.
+        beside: what is shown beside the grid, or its files.
 
     Returns:
         A watch whose `read` reads both again.
     """
     watched_paths = [Path(path) for path in (grid, scene) if path is not None]
     return Watch(
-        lambda: make_view_state(
-            grid, scene, force=force, episodes=episodes, trajectories=trajectories
-        ),
+        lambda: make_view_state(grid, scene, force=force, **beside),
         lambda: find_watched_files(watched_paths),
     )
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.episodes.episode import (
+    FLY_TASK,
     Episode,
     EpisodeSet,
     list_goal_positions,
@@ -29,6 +30,7 @@ from navbake.runtime.paths import Path
 from navbake.runtime.stand import StandPoses
 from navbake.scores import Trajectory, score_set
 from navbake.types import Bool, Float, Json
+from navbake.views.boxes import merge_voxels
 from navbake.views.describe import Arc, list_arcs
 from navbake.views.layers import (
     DISAGREEMENTS,
@@ -40,7 +42,10 @@ from navbake.views.layers import (
     tint_free_cells,
 )
 from navbake.views.viewer import meshes
+from navbake.views.viewer.flights import draw_tube, draw_voxels
 from navbake.views.viewer.meshes import Drawing, MeshBatch, Pick, Surface, ViewRay
+from navbake.voxels.finder import FlightPath
+from navbake.voxels.grid import VoxelGrid
 
 if TYPE_CHECKING:
     from navbake.baker.scene.scene import Scene
@@ -76,6 +81,7 @@ CLICK_TEXTS = (INSPECT_TEXT, ROUTE_TEXT, REACH_TEXT)
 """What a click may do, as the page words it."""
 # how many results of a method are kept, so that going back to a choice is fast
 NUM_CACHED_RESULTS = 6
+UNKNOWN_BALL_RADIUS = 0.1  # of a flight whose ball isn't known, as it is drawn [m]
 SAMPLE_SIZE = 20_000  # number of cells that a verification looks at
 MAX_NAMES = 250  # most names that are written; those of the largest rooms come first
 REACH = (0.3, 0.8)  # at first, how near to a thing its base has to be [m]
@@ -96,8 +102,9 @@ class Choices:
         inflation: the agent's radius [m] and the clearance [m] to inflate the grid by; None for the
             grid as it is.
         doors: the ids and states of the doors whose state differs from the grid's.
-        cut: world z above which the scene is not drawn [m]; None to draw all of it.
+        cut: world z above which scene and voxels are not drawn [m]; None to draw all of them.
         with_scene: whether to draw the scene.
+        with_voxels: whether to draw the voxels.
         with_hidden: whether to draw also the geom groups from 3 on, which MuJoCo's viewers hide.
         with_names: whether to write the names of rooms and doors.
         opacity: the opacity of the layer, above 0, up to 1.
@@ -116,6 +123,7 @@ class Choices:
     doors: Doors = ()
     cut: float | None = None
     with_scene: bool = True
+    with_voxels: bool = True
     with_hidden: bool = False
     with_names: bool = True
     opacity: float = 0.9
@@ -346,8 +354,11 @@ class ViewState:
         note: a line of text for the user, empty for none.
         runs: episodes and trajectories that can be shown.
         episodes: the set that the episodes are of; None for none.
+        voxels: voxels to draw, in which flights are scored; None for none.
+        flight: a path of a ball to draw; None for none.
         report: the report of the last verification; None before the first.
         floor_surfaces: for each level, the surface that its layers are drawn on.
+        voxel_boxes: boxes that cover the occupied voxels; None without voxels.
         cache: results of methods that `cache_results_by` decorates: method (and level) -> fields of
             the choices -> result.
     """
@@ -360,6 +371,8 @@ class ViewState:
         note: str = "",
         runs: Runs | None = None,
         episodes: EpisodeSet | None = None,
+        voxels: VoxelGrid | None = None,
+        flight: FlightPath | None = None,
     ) -> None:
         self.grid = grid
         self.scene = scene
@@ -367,12 +380,15 @@ class ViewState:
         self.note = note
         self.runs: Runs = runs or {}
         self.episodes = episodes
+        self.voxels = voxels
+        self.flight = flight
         self.report: VerifyReport | None = None
         # without a scene, cells without a floor are drawn at the level's ground
         with_holes = scene is not None
         self.floor_surfaces = [
             meshes.make_floor_surface(level, with_holes=with_holes) for level in grid.levels
         ]
+        self.voxel_boxes = None if voxels is None else merge_voxels(voxels)
         self.cache: dict[Hashable, dict[Hashable, Any]] = {}
 
     @property
@@ -565,6 +581,38 @@ class ViewState:
             )
         return meshes.draw_surfaces(surfaces, drawing.textures)
 
+    @cache_results_by("with_voxels", "cut")
+    def voxel_glb(self, choices: Choices) -> bytes:
+        """Return the voxels below the chosen cut as GLB; empty if none are drawn."""
+        if self.voxel_boxes is None or not choices.with_voxels:
+            return b""
+        return draw_voxels(self.voxel_boxes, choices.cut)
+
+    @cache_results_by("episode")
+    def flight_glbs(self, choices: Choices) -> list[bytes]:
+        """Return the flight, and that of the chosen episode, as tubes; a GLB each."""
+        tubes = []
+        if self.flight is not None:
+            tubes.append((self.flight.positions, self.flight.radius))
+        episode = self.shown_flight_episode(choices)
+        if episode is not None and episode.path:
+            tubes.append((np.array(episode.path), self.flight_radius))
+        return [
+            draw_tube(positions, radius, START_COLOR, GOAL_COLOR) for positions, radius in tubes
+        ]
+
+    @property
+    def flight_radius(self) -> float:
+        """Radius of the ball that the episodes are for [m]; a small one if they don't say it."""
+        agent = None if self.episodes is None else self.episodes.header.agent
+        return UNKNOWN_BALL_RADIUS if agent is None else agent.radius
+
+    def shown_flight_episode(self, choices: Choices) -> Episode | None:
+        """Return the chosen episode if it is a flight, else None."""
+        episode_run = self.runs.get(choices.episode)
+        episode = None if episode_run is None else episode_run.episode
+        return episode if episode is not None and episode.task == FLY_TASK else None
+
     def batches(self, choices: Choices) -> list[VisibleBatch]:
         """List the batches of the scene of which some geoms are wholly below the chosen cut."""
         drawing = self.drawing(choices) if choices.with_scene else None
@@ -657,13 +705,13 @@ class ViewState:
         """Return the path of the chosen episode: world x, y, z [m], shape (n, 3).
 
         If the episode stores no path, the shortest path in the shown grid is planned; for a
-        sequence of goals, none is. Without a path, the array is empty.
+        sequence of goals and for a flight, none is. Without a path, the array is empty.
         """
         episode_run = self.runs.get(choices.episode)
         if episode_run is None or episode_run.episode is None:
             return np.empty((0, 3))
         episode = episode_run.episode
-        if episode.path or episode.task == "sequence":
+        if episode.path or episode.task in ("sequence", FLY_TASK):
             return np.array(episode.path or ()).reshape(-1, 3)
         positions = list_goal_positions(episode)
         try:
@@ -676,6 +724,8 @@ class ViewState:
     def scores(self, choices: Choices) -> Json | str | None:
         """Score the agent's trajectory in the chosen episode, on the grid as it is in its file.
 
+        Flights are scored in the voxels.
+
         Returns:
             The measures by name, see `navbake.scores.Measures.scores`; or as text, why there are
             none. None if there is no trajectory, or no episode to score it by.
@@ -683,8 +733,12 @@ class ViewState:
         episode_run = self.runs.get(choices.episode)
         if episode_run is None or episode_run.trajectory is None or self.episodes is None:
             return None
+        is_flight = self.shown_flight_episode(choices) is not None
+        if is_flight and self.voxels is None:
+            return "flights are scored in their voxels: --voxels FILE"
+        grid = self.voxels if is_flight and self.voxels is not None else self.grid
         try:
-            [measures] = score_set(self.episodes, [episode_run.trajectory], self.grid, partial=True)
+            [measures] = score_set(self.episodes, [episode_run.trajectory], grid, partial=True)
         except QueryError as error:
             return str(error)
         return measures

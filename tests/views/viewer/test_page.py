@@ -1,5 +1,6 @@
 """The page in a real browser: it loads, and does what its reader asks for."""
 
+import io
 import os
 import re
 import time
@@ -200,6 +201,32 @@ def test_nothing_leaves_the_machine_and_nothing_fails(shown):
     page, *_ = shown
     assert errors_of(page.driver) == []
     assert strangers_of(requests_of(page.driver)) == []
+
+
+def test_voxels_are_cut_and_a_flight_is_a_tube(tmp_path):
+    path = write_room(tmp_path)
+    voxels = navbake.create_voxel_grid(path, res=0.1)
+    voxels.save(tmp_path / "room.npz")
+    finder = navbake.VoxelFinder(voxels, 0.15)
+    finder.find_path((-1.0, -1.0, 0.5), (1.0, -1.0, 1.0)).save(tmp_path / "flight.json")
+    navbake.bake(path).save(tmp_path / "room.grid.json")
+    words = ("room.grid.json", "--voxels", "room.npz", "--flight", "flight.json")
+    with run_view(*words, folder=tmp_path) as (_, url), open_browser(1280, 800) as driver:
+        page = ViewerPage(driver, url)
+        assert "goal and path" in page.wait_for("Voxels", PATIENCE)
+        seen = [picture_of(page)]
+        page.set_number("Cut height [m]", 0.4)
+        wait_for_other(page, seen[0])
+        page.tick("Scene")
+        time.sleep(2.0)
+        seen.append(picture_of(page))
+        page.tick("Voxels")
+        wait_for_other(page, seen[1])
+        # the tube stays: no other blue is on the page
+        pixels = np.asarray(Image.open(io.BytesIO(picture_of(page))).convert("RGB")).astype(int)
+        is_tube = (pixels[..., 2] > 100) & (pixels[..., 2] - pixels[..., 0] > 60)
+        assert is_tube.sum() > 500
+        assert errors_of(driver) == [] and strangers_of(requests_of(driver)) == []
 
 
 # what ends a table's cell, a paragraph or code in Markdown, and HTML that would run then
