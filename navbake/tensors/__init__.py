@@ -20,12 +20,13 @@ from navbake.tensors.questions import (
     level_at,
     patch,
     path_step,
+    ranges,
     room,
     sample,
 )
 
 __all__ = [
     "GridTensors", "area", "clearance", "distance_to_goal", "distances", "floor", "heights",
-    "is_navigable", "island", "level_at", "make_tensors", "patch", "path_step", "room", "sample",
-    "with_goals",
+    "is_navigable", "island", "level_at", "make_tensors", "patch", "path_step", "ranges", "room",
+    "sample", "with_goals",
 ]  # fmt: skip

@@ -110,6 +110,9 @@ def make_tensors(
         areas=tuple(tuple(area.name for area in grid.areas) for grid in grid_list),
         goals=_name_goals(goals_of_grids[0]),
         searches=SceneSearches(searches),
+        max_cells_per_metre=max(
+            1 / level.lattice.cell_size for grid in grid_list for level in grid.levels
+        ),
         **{name: make_array(array) for name, array in arrays.items()},
     )
 
@@ -343,6 +346,7 @@ def _make_layers(
                 np.concatenate([measure_clearance(level).ravel() for level in levels]),
                 0,
             ),
+            "solid": (search.occupied, False),
         }
         for name, (values, padding) in layers.items():
             padded_values = _pad(search, values, shape, padding)

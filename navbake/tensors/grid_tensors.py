@@ -108,6 +108,7 @@ class GridTensors:
     areas: tuple[tuple[str, ...], ...]  # ``areas[scene][a - 1]`` is the name of area number a
     goals: tuple[str, ...]  # the goals as they were given, in the order of their numbers
     searches: SceneSearches  # for `with_goals`
+    max_cells_per_metre: float  # of all levels; a number, so that JAX knows the shapes of `ranges`
     x_first: Array  # by level, x of the first column's edge and y of the first row's [m]
     y_first: Array
     cells_per_metre: Array  # by level, cells per metre
@@ -136,6 +137,7 @@ class GridTensors:
     island: Array  # by cell, int32, numbered from 1 through all scenes; 0 where it isn't free
     # by cell [m], see `navbake.navgrid.islands.measure_clearance`; 0 where it isn't free
     clearance: Array
+    solid: Array  # by cell, bool, whether the cell hides what is behind it, see `ranges`
     cost: Array  # at ``goal * n + cell``, the cost of the cheapest path to the goal
     # at ``goal * n + cell``, int32, the id of the next cell on that path; at the goal it is the
     # cell's own id, without a path -1
@@ -159,6 +161,7 @@ STATIC_FIELDS = (
     "areas",
     "goals",
     "searches",
+    "max_cells_per_metre",
 )
 
 

@@ -43,6 +43,11 @@ from navbake.types import Bool, Int32
 # dtype than the positions. Arrays of other libraries have one type for all dtypes.
 
 INTERPOLATIONS = ("nearest", "bilinear")
+# Of `ranges`: how many lines between cells are looked up at once. More need more memory, fewer need
+# more operations.
+LINES_PER_BLOCK = 32
+# How many roundings of a crossing's place, at most, make an edge touch a beam that runs beside it
+ROUNDINGS_OF_CROSSING = 16
 
 
 @overload
@@ -378,6 +383,177 @@ def patch(
     return xp.reshape(values, (*values.shape[:-1], rows, cols))
 
 
+def ranges(
+    t: GridTensors,
+    positions: ArrayT,
+    yaw: Array,
+    angles: Array,
+    max_range: float,
+    scene_id: Ids = None,
+) -> ArrayT:
+    """Make a scan of a planar lidar: distances along beams to the squares of occupied cells.
+
+    The beams are horizontal and see the cells that block `PathFinder.line_of_sight` on the agent's
+    level: those that something occupies in the height of the grid's agent, and those without a
+    floor. Squares count with their edges and corners, so no beam passes between two squares that
+    share a corner. On an inflated grid, these are the squares as they were baked. Beyond the
+    level's cells there is nothing to see.
+
+    Args:
+        t: the tensors.
+        positions: positions of the lidars, world x, y, z, shape (..., 3) [m]; z selects the level.
+        yaw: headings of the lidars, as in `heights` [rad].
+        angles: directions of the beams in the lidars' frames, 0 ahead, counted to the left, shape
+            (k,) [rad].
+        max_range: the greatest distance that a lidar measures, one number > 0 [m].
+        scene_id: each lidar's scene; needed where the tensors have several grids.
+
+    Returns:
+        Distances, shape (..., k): 0 in an occupied cell, inf for nothing within `max_range`, NaN
+        outside the grid [m].
+
+    Example:
+        >>> angles = torch.linspace(-math.pi, math.pi, 360, device="cuda")
+        >>> scan = tensors.ranges(t, places, yaw, angles, max_range=8.0)
+    """
+    is_number = isinstance(max_range, int | float)
+    if not is_number or not 0 < max_range < math.inf:
+        raise QueryError(f"expected a max_range > 0, one number [m], got {max_range!r}")
+    xp = t.xp
+    lidar_positions: Array = check_positions(t, positions)
+    beam_angles = as_array(t, angles)
+    if beam_angles.ndim != 1:
+        raise QueryError(f"expected angles of shape (k,), got {tuple(beam_angles.shape)}")
+    shape = tuple(lidar_positions.shape[:-1])
+    beam_shape = (*shape, int(beam_angles.shape[0]))
+    directions = _check_yaw(t, yaw, shape)[..., None] + beam_angles
+    origins = xp.broadcast_to(lidar_positions[..., None, :], (*beam_shape, 3))
+    scenes = check_scenes(t, scene_id, shape)
+    if scenes is not None:
+        scenes = xp.broadcast_to(scenes[..., None], beam_shape)
+    measure = partial(_measure_beams, t, max_range=float(max_range))
+    distances_to_squares: ArrayT = apply_in_chunks(t, measure, origins, directions, scenes)
+    return distances_to_squares
+
+
+def _measure_beams(
+    tensors: GridTensors, origins: Array, directions: Array, scenes: Array, *, max_range: float
+) -> Array:
+    """Measure how far beams get, see `ranges`.
+
+    A beam enters a cell where it crosses the line between two columns or two rows. Where it crosses
+    the n-th line follows from n alone, so many crossings are looked up at once, in blocks that
+    bound the memory.
+
+    Args:
+        tensors: the tensors.
+        origins: where beams begin, world x, y, z, shape (..., 3) [m].
+        directions: where they lead to, 0 along x, counted towards y, shape (...) [rad].
+        scenes: the scenes of beams, shape (...), or None.
+        max_range: the greatest distance [m].
+
+    Returns:
+        Distances, shape (...) [m].
+    """
+    xp = tensors.xp
+    shape = tensors.shape
+    first_cell, _, is_in_cell = locate_in_scenes(tensors, origins, scenes)
+    is_valid = is_in_cell & xp.isfinite(directions)
+    directions = xp.where(is_valid, directions, 0.0)
+    level, first_row, first_col = to_level_row_col(tensors, first_cell)
+    cells_per_metre = tensors.cells_per_metre[level]
+    # where the beam begins, in columns and rows from the first corner of the level
+    west_edge = tensors.x_edge[level * (shape.cols + 1) + first_col]
+    north_edge = tensors.y_edge[level * (shape.rows + 1) + first_row]
+    x_in_cell = xp.where(is_valid, origins[..., 0] - west_edge, 0.0)
+    y_in_cell = xp.where(is_valid, north_edge - origins[..., 1], 0.0)
+    u = xp.astype(first_col, tensors.dtype) + clip(xp, x_in_cell * cells_per_metre, 0.0, 1.0)
+    v = xp.astype(first_row, tensors.dtype) + clip(xp, y_in_cell * cells_per_metre, 0.0, 1.0)
+    # columns and rows for each metre of the beam
+    u_slope = xp.cos(directions) * cells_per_metre
+    v_slope = -xp.sin(directions) * cells_per_metre
+    float_spacing = float(xp.finfo(tensors.dtype).eps) * max(shape.rows, shape.cols)
+    edge_width = ROUNDINGS_OF_CROSSING * float_spacing
+
+    def is_solid(rows: Array, cols: Array) -> Array:
+        is_on_level = (rows >= 0) & (rows < tensors.num_rows[level][..., None])
+        is_on_level = is_on_level & (cols >= 0) & (cols < tensors.num_cols[level][..., None])
+        cells = (level[..., None] * shape.rows + rows) * shape.cols + cols
+        return is_on_level & tensors.solid[xp.where(is_on_level, cells, 0)]
+
+    nearest = xp.where(tensors.solid[first_cell], 0.0, xp.full_like(u, xp.inf))
+    num_lines = math.ceil(max_range * tensors.max_cells_per_metre) + 1
+    for line_numbers in _split_lines(tensors, min(num_lines, shape.cols)):
+        distance, col = _cross_lines(tensors, u, u_slope, first_col, line_numbers)
+        is_near = distance <= max_range
+        distance = xp.where(is_near, distance, 0.0)
+        v_of_crossing = v[..., None] + distance * v_slope[..., None]
+        row_before = xp.astype(xp.floor(v_of_crossing - edge_width), tensors.index_dtype)
+        row_after = xp.astype(xp.floor(v_of_crossing + edge_width), tensors.index_dtype)
+        is_hit = is_near & (is_solid(row_before, col) | is_solid(row_after, col))
+        nearest = xp.minimum(nearest, xp.min(xp.where(is_hit, distance, xp.inf), axis=-1))
+    for line_numbers in _split_lines(tensors, min(num_lines, shape.rows)):
+        distance, row = _cross_lines(tensors, v, v_slope, first_row, line_numbers)
+        is_near = distance <= max_range
+        distance = xp.where(is_near, distance, 0.0)
+        u_of_crossing = u[..., None] + distance * u_slope[..., None]
+        col_before = xp.astype(xp.floor(u_of_crossing - edge_width), tensors.index_dtype)
+        col_after = xp.astype(xp.floor(u_of_crossing + edge_width), tensors.index_dtype)
+        is_hit = is_near & (is_solid(row, col_before) | is_solid(row, col_after))
+        nearest = xp.minimum(nearest, xp.min(xp.where(is_hit, distance, xp.inf), axis=-1))
+    return xp.where(is_valid, nearest, xp.nan)
+
+
+def _split_lines(tensors: GridTensors, num_lines: int) -> list[Array]:
+    """Return the numbers of lines, from 0, in blocks of at most `LINES_PER_BLOCK`."""
+    xp = tensors.xp
+    return [
+        xp.arange(
+            first_line,
+            min(first_line + LINES_PER_BLOCK, num_lines),
+            dtype=tensors.index_dtype,
+            device=device_of(tensors),
+        )
+        for first_line in range(0, num_lines, LINES_PER_BLOCK)
+    ]
+
+
+def _cross_lines(
+    tensors: GridTensors, start: Array, slope: Array, first_index: Array, line_numbers: Array
+) -> tuple[Array, Array]:
+    """Compute where beams cross the lines between columns, or between rows.
+
+    Args:
+        tensors: the tensors.
+        start: where each beam begins, in columns, shape (...).
+        slope: how many columns it goes for each metre, shape (...).
+        first_index: the column that it begins in, shape (...).
+        line_numbers: which of the lines ahead of it, from 0, shape (n,).
+
+    Returns:
+        The distances to the lines, inf for a beam along them [m]; and the columns behind them; both
+        of shape (..., n).
+    """
+    xp = tensors.xp
+    slopes = slope[..., None]
+    is_forward = slopes > 0
+    first_lines = first_index[..., None] + xp.astype(is_forward, tensors.index_dtype)
+    lines = xp.where(is_forward, first_lines + line_numbers, first_lines - line_numbers)
+    is_across = slopes != 0
+    distances_in_cells = xp.astype(lines, tensors.dtype) - start[..., None]
+    distance = xp.where(is_across, distances_in_cells / xp.where(is_across, slopes, 1.0), xp.inf)
+    return distance, xp.where(is_forward, lines, lines - 1)
+
+
+def _check_yaw(tensors: GridTensors, yaw: Array, shape: tuple[int, ...]) -> Array:
+    """Check that there is a heading for each position, and return the headings as an array."""
+    headings = as_array(tensors, yaw)
+    if tuple(headings.shape) != shape:
+        yaw_shape = tuple(headings.shape)
+        raise QueryError(f"expected a yaw of shape {shape}, one for each position, got {yaw_shape}")
+    return headings
+
+
 def _pattern_points(
     tensors: GridTensors, positions: Array, yaw: Array, pattern: Array, scene_id: Ids
 ) -> tuple[Array, Array]:
@@ -396,14 +572,11 @@ def _pattern_points(
     """
     xp = tensors.xp
     agent_positions = check_positions(tensors, positions)
-    headings = as_array(tensors, yaw)
     pattern_points = as_array(tensors, pattern)
     if pattern_points.ndim != 2 or pattern_points.shape[-1] != 2:
         raise QueryError(f"expected a pattern of shape (k, 2), got {tuple(pattern_points.shape)}")
     shape = tuple(agent_positions.shape[:-1])
-    if tuple(headings.shape) != shape:
-        yaw_shape = tuple(headings.shape)
-        raise QueryError(f"expected a yaw of shape {shape}, one for each position, got {yaw_shape}")
+    headings = _check_yaw(tensors, yaw, shape)
     cos = xp.cos(headings)[..., None]
     sin = xp.sin(headings)[..., None]
     x = agent_positions[..., 0, None] + cos * pattern_points[:, 0] - sin * pattern_points[:, 1]

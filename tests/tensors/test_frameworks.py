@@ -36,6 +36,7 @@ def questions(t):
         "distance_to_goal": lambda p: tensors.distance_to_goal(t, p),
         "path_step": lambda p: tensors.path_step(t, p),
         "heights": lambda p: tensors.heights(t, p, pattern=pattern, **turned),
+        "ranges": lambda p: tensors.ranges(t, p, angles=pattern[:, 1], max_range=0.5, **turned),
         "patch": lambda p: tensors.patch(t, p, shape=(2, 3), **turned),
     }
 

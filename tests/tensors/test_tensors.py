@@ -18,6 +18,7 @@ from navbake.errors import QueryError
 from navbake.navgrid.islands import measure_clearance
 from navbake.runtime.flat_grid import flatten
 from navbake.runtime.path_finder import PathFinder
+from oracles.beams import beam_ranges
 from project_paths import GOLDEN
 from tensors.libraries import ON_ALL, compiled, given, library, positions_over, shown
 
@@ -199,6 +200,93 @@ def test_a_scan_sees_the_agents_own_storey():
     under, over = np.array([1.05, -0.25, 0.1]), np.array([1.05, -0.25, 1.5])
     heights = tensors.heights(t, np.stack([under, over]), np.zeros(2), pattern)
     np.testing.assert_allclose(heights[:, 0], [0.0, 1.4], atol=1e-6)
+
+
+@ON_ALL
+@pytest.mark.parametrize("seed", range(4))
+def test_ranges_are_those_to_the_squares(case, seed):
+    name, dtype = case
+    rng = np.random.default_rng(seed)
+    xp, grid = library(name), random_house(rng, num_levels=1 + seed % 2, share=0.9)
+    positions = positions_over(grid, rng, 60, dtype)
+    yaw = rng.uniform(-np.pi, np.pi, 60).astype(dtype).astype(np.float64)
+    yaw[::4] = 0.0  # along the lines between cells
+    angles = np.array([0.0, 0.25, 0.5, -0.75, 1.0, 0.1, 0.7, -1.3]) * np.pi
+    angles = angles.astype(dtype).astype(np.float64)
+    t = grid.tensors(xp, dtype=dtype)
+    scan = compiled(xp, lambda p, yaw: tensors.ranges(t, p, yaw, given(xp, angles, dtype), 0.9))
+    found = shown(scan(given(xp, positions, dtype), given(xp, yaw, dtype)))
+    assert found.shape == (60, 8)
+    level_numbers = Oracle(grid, positions).level()
+    margin = 1e-9 if dtype == "float64" else 1e-5
+    for distances, position, heading, number in zip(
+        found, positions, yaw, level_numbers, strict=True
+    ):
+        if number < 0:
+            assert np.isnan(distances).all()
+            continue
+        x, y, _ = position
+        level = grid.levels[number]
+        # what touches a square, or ends at one, may fall either way
+        nearest = beam_ranges(level, x, y, heading + angles, 0.9 + margin, margin)
+        farthest = beam_ranges(level, x, y, heading + angles, 0.9 - margin, -margin)
+        slack = 100 * margin  # grazing beams cross a moved edge later
+        assert ((nearest - slack <= distances) & (distances <= farthest + slack)).all()
+    assert np.isfinite(found).any() and np.isinf(found).any()
+
+
+@ON_ALL
+def test_no_beam_passes_between_squares_that_share_a_corner(case):
+    name, dtype = case
+    xp, grid = library(name), level_from("...#\n..#.\n.#..\n#...")
+    t = grid.tensors(xp, dtype=dtype)
+    centers = [(0.05, -0.05, 0.0), (0.15, -0.15, 0.0), (0.25, -0.25, 0.0), (0.35, -0.35, 0.0)]
+    yaw = np.deg2rad([-45.0, -45.0, 135.0, 135.0])
+    found = tensors.ranges(
+        t, given(xp, centers, dtype), given(xp, yaw, dtype), given(xp, [0.0], dtype), 5.0
+    )
+    half_diagonal = 0.05 * 2**0.5
+    expected = np.array([3, 1, 1, 3]) * half_diagonal
+    np.testing.assert_allclose(shown(found)[:, 0], expected, atol=1e-6)
+
+
+def test_ranges_end_at_max_range_and_beyond_the_level():
+    grid = level_from("......#\n.......")
+    t = grid.tensors()
+    lidar = np.array([0.05, -0.05, 0.0])
+    scan = tensors.ranges(t, lidar, 0.0, [0.0, np.pi / 2, np.pi], 0.6)
+    np.testing.assert_allclose(scan, [0.55, np.inf, np.inf])
+    assert tensors.ranges(t, lidar, 0.0, [0.0], 0.5) == np.inf
+    in_a_wall = np.array([0.65, -0.05, 0.0])
+    np.testing.assert_array_equal(tensors.ranges(t, in_a_wall, 0.0, [0.0, np.pi], 5.0), [0, 0])
+    assert np.isnan(tensors.ranges(t, np.array([-0.1, 0.0, 0.0]), 0.0, [0.0], 5.0)).all()
+    assert np.isnan(tensors.ranges(t, lidar, 0.0, [np.nan, np.inf], 5.0)).all()
+    with grid.block(disc=((0.25, -0.05, 0.0), 0.04)):
+        np.testing.assert_allclose(tensors.ranges(grid.tensors(), lidar, 0.0, [0.0], 5.0), 0.15)
+
+
+def test_ranges_of_an_inflated_grid_are_those_to_what_was_baked():
+    grid = navbake.load(GOLDEN / "apartment.grid.json.gz")
+    places = PathFinder(grid).random_point(np.random.default_rng(0), 50)
+    yaw = np.zeros(50)
+    angles = np.linspace(-3.0, 3.0, 13)
+    scan = tensors.ranges(grid.tensors(), places, yaw, angles, 4.0)
+    inflated_scan = tensors.ranges(grid.inflate(0.3).tensors(), places, yaw, angles, 4.0)
+    np.testing.assert_array_equal(inflated_scan, scan)
+    # a beam ends where the line of sight does
+    finder = PathFinder(grid)
+    for place, distances in zip(places, scan, strict=True):
+        for angle, distance in zip(angles, np.minimum(distances, 4.0), strict=True):
+            end = place + (distance - 1e-3) * np.array([np.cos(angle), np.sin(angle), 0.0])
+            assert finder.line_of_sight(place, end)
+
+
+def test_ranges_of_several_scenes():
+    near, far = level_from("...#."), level_from(".....#")
+    t = tensors.make_tensors([near, far])
+    lidars = np.array([[0.05, -0.05, 0.0]] * 3)
+    scan = tensors.ranges(t, lidars, np.zeros(3), [0.0], 5.0, scene_id=np.array([0, 1, 2]))
+    np.testing.assert_allclose(scan[:, 0], [0.25, 0.45, np.nan])
 
 
 @ON_ALL
@@ -400,6 +488,10 @@ def test_arrays_are_shared_by_dlpack():
         (lambda t: tensors.patch(t, np.zeros(3), np.zeros(()), (0, 4)), "rows, columns and a cell"),
         (lambda t: tensors.patch(t, np.zeros(3), np.zeros(()), 64), r"a shape \(rows, columns\)"),
         (lambda t: tensors.patch(t, np.zeros(3), np.zeros(()), (1, 1), np.inf), "a cell > 0"),
+        (lambda t: tensors.ranges(t, np.zeros(3), 0.0, 0.5, 5.0), r"angles of shape \(k,\)"),
+        (lambda t: tensors.ranges(t, np.zeros(3), [0.0], [0.5], 5.0), r"a yaw of shape \(\)"),
+        (lambda t: tensors.ranges(t, np.zeros(3), 0.0, [0.5], np.inf), "a max_range > 0, one num"),
+        (lambda t: tensors.ranges(t, np.zeros(3), 0.0, [0.5], [5.0]), "a max_range > 0, one num"),
         (lambda t: tensors.sample(t, np.zeros((4, 2))), "u of shape"),
         (
             lambda t: tensors.sample(t, np.zeros((4, 3)), reachable_from=np.zeros((2, 3))),
