@@ -24,7 +24,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import navbake
-from benchmarks import bake_rows, run_rows, voxel_rows
+from benchmarks import bake_rows, flight_rows, run_rows, voxel_rows
 from benchmarks.measure import Row, SkipRow, measure_row
 from benchmarks.scenes import ROOMS, ROOT, Scenes
 from benchmarks.table import (
@@ -47,6 +47,7 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
         **bake_rows.make_rows(scenes),
         **run_rows.make_rows(scenes),
         **voxel_rows.make_rows(scenes.folder),
+        **flight_rows.make_rows(),
     }
 
 

@@ -5,14 +5,12 @@
 A cost is right where it equals that of scipy's Dijkstra, on a graph of all moves that is made
 without any of the finder's code, to 1e-9; a path where its swept ball meets no geom in MuJoCo by
 more than 1e-6 m; a distance where it equals the least of those to all occupied voxels, to 1e-6 m.
-Times are beside those of scipy's Dijkstra, of dijkstra3d where it is installed (which asks for
-voxels alone, not for what is between them), and of A* in Python over an octree's dictionary.
+Times are beside those of scipy's Dijkstra; `scripts/bench.py` has those of others.
 """
 
 from __future__ import annotations
 
 import argparse
-import heapq
 import itertools
 import math
 import sys
@@ -32,7 +30,6 @@ from oracles.flights import CapsuleProbe, find_costs, make_large_graph
 
 SCENES = ("house", "warehouse", "tower")
 STARTS = 40  # scipy answers all goals of one start at once
-LOOPS = 3  # pairs that Python's loop is asked
 DISTANCES = 300  # voxels whose distances are compared
 
 
@@ -104,7 +101,6 @@ def sweep(name: str, args: Any) -> int:
         f"scipy {took_scipy / num_pairs / took_pair:.1f} times as long",
         flush=True,
     )
-    compare_times(name, finder, starts, goals)
     return len(faults)
 
 
@@ -131,57 +127,6 @@ def compare_distances(voxels: VoxelGrid, rng: np.random.Generator) -> list[str]:
         if abs(values.flat[number] - expected) > 1e-6:
             faults.append(f"distance {values.flat[number]} of {voxel}: {expected}")
     return faults
-
-
-def compare_times(name: str, finder: VoxelFinder, starts: Any, goals: Any) -> None:
-    """Time the same pairs with dijkstra3d and with a loop in Python, and print the ratios."""
-    pairs = [(start, goals_of[0]) for start, goals_of in zip(starts, goals, strict=True)]
-    free = finder.free
-    voxels = [
-        tuple(tuple(map(int, np.unravel_index(each, free.shape))) for each in pair)
-        for pair in pairs
-    ]
-    took = timed(lambda: [find_path(finder, *pair) for pair in pairs]) / len(pairs)
-    try:
-        import dijkstra3d
-    except ImportError:
-        print(f"{name}: dijkstra3d is not installed")
-    else:
-        field = np.asfortranarray(free)
-        peer = timed(lambda: [dijkstra3d.binary_dijkstra(field, *pair) for pair in voxels])
-        print(f"{name}: dijkstra3d {peer / len(pairs) / took:.2f} times as long")
-    cells = {tuple(each) for each in np.argwhere(free).tolist()}  # as of an octree's leaves
-    took = timed(lambda: [find_path(finder, *pair) for pair in pairs[:LOOPS]])
-    peer = timed(lambda: [loop(cells, *pair) for pair in voxels[:LOOPS]])
-    print(f"{name}: a loop in Python {peer / took:.0f} times as long", flush=True)
-
-
-def timed(run: Any) -> float:
-    begin = time.perf_counter()
-    run()
-    return time.perf_counter() - begin
-
-
-def loop(cells: set[Any], start: Any, goal: Any) -> float:
-    """A* over 26 neighbours as one writes it over an octree: a dictionary and a heap."""
-    steps = [(step, math.dist(step, (0, 0, 0))) for step in itertools.product((-1, 0, 1), repeat=3)]
-    costs = {start: 0.0}
-    queue = [(math.dist(start, goal), start)]
-    done = set()
-    while queue:
-        _, cell = heapq.heappop(queue)
-        if cell == goal:
-            break
-        if cell in done:
-            continue
-        done.add(cell)
-        for (dx, dy, dz), length in steps:
-            neighbor = (cell[0] + dx, cell[1] + dy, cell[2] + dz)
-            cost = costs[cell] + length
-            if neighbor in cells and cost < costs.get(neighbor, math.inf):
-                costs[neighbor] = cost
-                heapq.heappush(queue, (cost + math.dist(neighbor, goal), neighbor))
-    return costs.get(goal, math.inf)
 
 
 if __name__ == "__main__":

@@ -45,7 +45,9 @@ def test_shell_script_parses(path):
     subprocess.run(["bash", "-n", str(path)], check=True)
 
 
-@pytest.mark.parametrize("names", [("house", "share"), ("load", "navigable"), ("robot",)])
+@pytest.mark.parametrize(
+    "names", [("house", "share"), ("load", "navigable"), ("robot",), ("flight-octree",)]
+)
 def test_rows_are_measured(names, tmp_path, monkeypatch, capsys):
     out = tmp_path / "figures.json"
     chosen = ["--rooms", "4", "--repeats", "1", "--json", str(out), "--keep", str(tmp_path)]

@@ -112,10 +112,15 @@ def beside(
     try:
         peer = make(importlib.import_module(module))
     except ImportError:
-        missing = f'no {module} to compare with: pip install -e ".[bench]", or {module}'
+        missing = why_missing(module)
         # what a limit compares with isn't there; other peers take no place of it
         return Row(job, [], limits.get("limit"), limits.get("ratio"), missing=missing)
     return Row(job, [peer, *others], **limits)  # type: ignore[arg-type]
+
+
+def why_missing(module: str) -> str:
+    """Say that a peer is not installed, and how it can be."""
+    return f'no {module} to compare with: pip install -e ".[bench]", or {module}'
 
 
 def measure_row(row: Row, repeats: int) -> list[Result]:

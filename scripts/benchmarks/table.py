@@ -211,6 +211,11 @@ COMPARISONS = (
     Comparison("field", "a distance field of a million cells", "dijkstra3d"),
     Comparison("voxels", "17.2 million voxels of a mesh", "pyvista"),
     Comparison("octree-scattered", "a million voxels as an octree", "octomap-python"),
+    Comparison("flights-house", "8 flights in a house, voxels of 0.1 m", "scipy's Dijkstra"),
+    Comparison("flights-house", "the same", "dijkstra3d", peer_index=1),
+    Comparison("flights-warehouse", "8 flights in a warehouse", "dijkstra3d", peer_index=1),
+    Comparison("flights-tower", "8 flights in a tower", "dijkstra3d", peer_index=1),
+    Comparison("flight-octree", "a flight in the house", "a loop over octomap-python"),
 )
 
 
