@@ -6,10 +6,11 @@ inside ``jax.jit``, ``jax.vmap``, ``torch.vmap`` and ``torch.compile``. navbake 
 here: it uses the caller's by the Python array API (https://data-apis.org/array-api/).
 """
 
-from navbake.tensors.build import make_tensors, with_goals
+from navbake.tensors.build import make_tensors, with_goals, with_stands
 from navbake.tensors.grid_tensors import GridTensors
 from navbake.tensors.questions import (
     area,
+    can_reach,
     clearance,
     distance_to_goal,
     distances,
@@ -23,10 +24,11 @@ from navbake.tensors.questions import (
     ranges,
     room,
     sample,
+    sample_stand,
 )
 
 __all__ = [
-    "GridTensors", "area", "clearance", "distance_to_goal", "distances", "floor", "heights",
-    "is_navigable", "island", "level_at", "make_tensors", "patch", "path_step", "ranges", "room",
-    "sample", "with_goals",
+    "GridTensors", "area", "can_reach", "clearance", "distance_to_goal", "distances", "floor",
+    "heights", "is_navigable", "island", "level_at", "make_tensors", "patch", "path_step",
+    "ranges", "room", "sample", "sample_stand", "with_goals", "with_stands",
 ]  # fmt: skip

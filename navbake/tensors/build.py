@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import MissingDependencyError, QueryError
 from navbake.navgrid.islands import measure_clearance, values_by_area
@@ -18,6 +18,8 @@ from navbake.runtime.no_path import describe_blocked_goal
 from navbake.runtime.paths import find_target
 from navbake.runtime.places import MAX_DROP
 from navbake.runtime.search import Search
+from navbake.runtime.stand import StandTargets, stand_poses
+from navbake.runtime.stand_cells import StandRules
 from navbake.tensors.grid_tensors import (
     Array,
     GridTensors,
@@ -37,6 +39,7 @@ Floating = np.dtype[np.floating]
 """float32 or float64."""
 Arrays = dict[str, NDArray[Any]]
 """Name of a field of `GridTensors` -> its array of numpy."""
+STAND_NAMES = ("stand_x", "stand_y", "stand_z", "stand_yaw")  # fields of `GridTensors`
 # Floats of the dtype that must lie within a cell's edge, so that a position is in the right cell
 MIN_FLOATS_PER_CELL = 8
 
@@ -113,6 +116,11 @@ def make_tensors(
         max_cells_per_metre=max(
             1 / level.lattice.cell_size for grid in grid_list for level in grid.levels
         ),
+        targets=(),
+        stand_repeats=0,
+        **{name: make_array(np.empty(0)) for name in STAND_NAMES},
+        stand_key=make_array(np.empty(0, dtype=np.int32)),
+        stand_start=make_array(np.zeros(1, dtype=np.int32)),
         **{name: make_array(array) for name, array in arrays.items()},
     )
 
@@ -153,26 +161,132 @@ def with_goals(
     return replace(tensors, goals=_name_goals(goals_of_grids[0]), **arrays)
 
 
-def _name_goals(goals: Sequence[Goal]) -> tuple[str, ...]:
+def with_stands(
+    tensors: GridTensors,
+    targets: Sequence[StandTargets] | Sequence[Sequence[StandTargets]],
+    *,
+    reach: tuple[float, float] = (0.3, 0.8),
+    footprint: ArrayLike | None = None,
+    facing: str | None = "target",
+    height: float | None = None,
+    sight: bool | float = True,
+) -> GridTensors:
+    """Return tensors that know where a robot's base can stand to reach things.
+
+    These are all poses that `PathFinder.stand_poses` finds, one in each cell. `sample_stand` draws
+    from them, and `can_reach` tests other poses. All arrays but those of poses are shared with the
+    old tensors.
+
+    Args:
+        tensors: the tensors.
+        targets: for tensors of one grid, a sequence of targets as `PathFinder.stand_poses` takes
+            them: a position, ``object:NAME``, ``category:NAME``, or a list of these, any of which
+            counts. For several grids, such a sequence for each grid, all equally long.
+        reach: least and greatest distance from the base's axis to the target [m].
+        footprint: outline of the base, shape (k, 2) [m]; None for a disc of the grid's radius.
+        facing: ``target``, or None for random headings.
+        height: height of the shoulder over the floor [m], for distances in space.
+        sight: True, False, or the height of the eye over the floor [m].
+
+    Returns:
+        The tensors with these targets, numbered in this order.
+
+    Raises:
+        QueryError: an argument is not valid, or there is no pose for a target.
+
+    Example:
+        >>> t = with_stands(grid.tensors(torch), ["object:mug", "category:drawer"])
+        >>> positions, yaw = sample_stand(t, torch.rand(4096), target=0)
+    """
+    grids = [search.grid for search in tensors.searches]
+    _, targets_of_grids = _check_grids(grids[0] if len(grids) == 1 else grids, targets, "targets")
+    num_targets = len(targets_of_grids[0])
+    _check_size(tensors.shape, num_targets)
+    rules = StandRules(reach, footprint, facing, height, sight, start=None)
+    num_cells = math.prod(tensors.shape)
+    poses_by_group: list[NDArray[Any]] = []
+    keys_by_group: list[NDArray[Any]] = []
+    for target_number in range(num_targets):
+        for scene_number, search in enumerate(tensors.searches):
+            target = targets_of_grids[scene_number][target_number]
+            found_poses = stand_poses(search, target, rules, count=None, spread=0.0, seed=0)
+            if not len(found_poses):
+                reason = "; ".join(found_poses.why_not.values())
+                raise QueryError(
+                    f"no pose reaches target {target_number} in {search.grid.scene_id!r}: {reason}",
+                    key="targets",
+                    value=target,
+                )
+            padded_ids = _pad_ids(search, tensors.shape, scene_number)
+            cells = padded_ids[search.flat.cells_at(found_poses.positions)]
+            order = np.argsort(cells, kind="stable")
+            group_poses = np.column_stack([found_poses.positions, found_poses.headings])
+            poses_by_group.append(group_poses[order])
+            keys_by_group.append(target_number * num_cells + cells[order].astype(np.int64))
+    stand_key = np.concatenate([np.empty(0, dtype=np.int64), *keys_by_group])
+    _, repeats = np.unique(stand_key, return_counts=True)
+    num_poses = [len(keys) for keys in keys_by_group]
+    xp = tensors.xp
+    device = device_of(tensors)
+    poses = np.concatenate([np.empty((0, len(STAND_NAMES))), *poses_by_group])
+    stand_start = np.cumsum([0, *num_poses]).astype(np.int32)
+    return replace(
+        tensors,
+        targets=_name_goals(targets_of_grids[0]),
+        stand_repeats=int(repeats.max(initial=0)),
+        stand_key=xp.asarray(stand_key.astype(np.int32), device=device),
+        stand_start=xp.asarray(stand_start, device=device),
+        **{
+            name: xp.asarray(values, dtype=tensors.dtype, device=device)
+            for name, values in zip(STAND_NAMES, np.ascontiguousarray(poses.T), strict=True)
+        },
+    )
+
+
+def _name_goals(goals: Sequence[object]) -> tuple[str, ...]:
     """Return the texts of goals, each in one line."""
     return tuple(" ".join(str(goal).split()) for goal in goals)
 
 
+def _pad_ids(search: Search, shape: PaddedShape, scene_number: int) -> NDArray[np.int32]:
+    """Return the padded id of each of a grid's cells, by flat id.
+
+    Args:
+        search: the search on the grid.
+        shape: the shape that all grids are padded to.
+        scene_number: the grid's number.
+    """
+    padded_ids = np.arange(math.prod(shape), dtype=np.int32).reshape(shape)
+    ids_of_levels = [
+        padded_ids[scene_number, level_number, : level.height, : level.width].ravel()
+        for level_number, level in enumerate(search.grid.levels)
+    ]
+    return np.concatenate(ids_of_levels)
+
+
 def _check_size(shape: PaddedShape, num_goals: int) -> None:
-    """Check that int32 can number the cells of all goals.
+    """Check that int32 can number the cells of all goals or targets.
 
     Raises:
         QueryError: there are too many cells.
     """
     if math.prod(shape) * max(num_goals, 1) >= 2**31:
-        size_text = f"{' x '.join(map(str, shape))} for each of {num_goals} goals"
+        size_text = f"{' x '.join(map(str, shape))} for each of {num_goals} goals or targets"
         raise QueryError(f"expected less than 2^31 cells in all, got {size_text}")
 
 
 def _check_grids(
-    grids: NavGrid | Sequence[NavGrid], goals: Sequence[Goal] | Sequence[Sequence[Goal]]
-) -> tuple[list[Any], list[Sequence[Goal]]]:
-    """Check the arguments, and return the grids as a list, and a list of the goals of each grid."""
+    grids: NavGrid | Sequence[NavGrid],
+    goals: Sequence[Any] | Sequence[Sequence[Any]],
+    noun: str = "goals",
+) -> tuple[list[Any], list[Sequence[Any]]]:
+    """Check the arguments, and return the grids as a list, and a list of the goals of each grid.
+
+    Args:
+        grids: the grid or grids.
+        goals: the goals, or those of each grid.
+        noun: the argument's name, for errors.
+    """
     is_single = hasattr(grids, "levels")
     if not is_single and not isinstance(grids, Iterable):
         raise QueryError(f"expected a grid or several, got {grids!r}")
@@ -180,11 +294,11 @@ def _check_grids(
     if not grid_list or not all(hasattr(grid, "levels") for grid in grid_list):
         raise QueryError(f"expected grids, at least one grid, got {grid_list}")
     if isinstance(goals, str):
-        raise QueryError(f"expected a list of goals, got {goals!r}: write goals=[{goals!r}]")
+        raise QueryError(f"expected a list of {noun}, got {goals!r}: write {noun}=[{goals!r}]")
     goals_of_grids: list[Any] = [goals] if is_single else list(goals) or [()] * len(grid_list)
     num_goals_of_grids = [len(goals_of_grid) for goals_of_grid in goals_of_grids]
     if len(num_goals_of_grids) != len(grid_list) or len(set(num_goals_of_grids)) != 1:
-        expected = f"as many goals for each of {len(grid_list)} grids"
+        expected = f"as many {noun} for each of {len(grid_list)} grids"
         raise QueryError(f"expected {expected}, got {num_goals_of_grids}")
     return grid_list, goals_of_grids
 
@@ -369,14 +483,9 @@ def _make_goal_fields(
     """
     cost = np.full((len(goals[0]), shape.scenes, *shape[1:]), np.inf, dtype=dtype)
     next_cell = np.full(cost.shape, -1, dtype=np.int32)
-    padded_ids = np.arange(math.prod(shape), dtype=np.int32).reshape(shape)
     for scene_number, search in enumerate(searches):
-        ids_of_levels = [
-            padded_ids[scene_number, level_number, : level.height, : level.width].ravel()
-            for level_number, level in enumerate(search.grid.levels)
-        ]
         # flat id -> padded id; its last entry, -1, is looked up for no next cell, which is also -1
-        padded_id_of_cell = np.concatenate([*ids_of_levels, np.array([-1], dtype=np.int32)])
+        padded_id_of_cell = np.append(_pad_ids(search, shape, scene_number), np.int32(-1))
         for goal_number, goal in enumerate(goals[scene_number]):
             target = find_target(search, goal)
             goal_cells = target.free_cells(search.flat)

@@ -146,9 +146,23 @@ class GridTensors:
     island_key: Array  # of each of these cells: ``island * (num_rooms + 1) + room``
     cells_by_room: Array  # the free cells' ids, sorted by `room_key`; int32, shape (m,)
     room_key: Array  # of each of these cells: ``scene * (num_rooms + 1) + room``
+    targets: tuple[str, ...]  # those of `with_stands` as they were given, in their order
+    stand_repeats: int  # how many poses of a target are in one cell at most
+    # the p poses from which targets are reached: world x, y and floor z [m], and yaw [rad]
+    stand_x: Array
+    stand_y: Array
+    stand_z: Array
+    stand_yaw: Array
+    stand_key: Array  # of each pose, int32, ascending: ``target * n + cell``; shape (p,)
+    # at ``target * scenes + scene``, the index of the first pose there, and at the end p; int32
+    stand_start: Array
 
     def __repr__(self) -> str:
-        return f"GridTensors(dtype={self.dtype!r}, shape={self.shape!r}, goals={self.goals!r})"
+        targets_text = f", targets={self.targets!r}" if self.targets else ""
+        return (
+            f"GridTensors(dtype={self.dtype!r}, shape={self.shape!r}, goals={self.goals!r}"
+            f"{targets_text})"
+        )
 
 
 STATIC_FIELDS = (
@@ -162,6 +176,8 @@ STATIC_FIELDS = (
     "goals",
     "searches",
     "max_cells_per_metre",
+    "targets",
+    "stand_repeats",
 )
 
 

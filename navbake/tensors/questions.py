@@ -703,6 +703,109 @@ def _apply_to_goal(
     return values
 
 
+def sample_stand(
+    t: GridTensors, u: Array, target: Ids = 0, scene_id: Ids = None
+) -> tuple[Array, Array]:
+    """Turn uniform random numbers into poses of a base that reach a target, each equally likely.
+
+    Args:
+        t: tensors with targets, see `with_stands`.
+        u: numbers in [0, 1), shape (...).
+        target: number of the target, see `with_stands`: an integer, or integers that broadcast to
+            (...).
+        scene_id: each pose's scene; needed where the tensors have several grids.
+
+    Returns:
+        World x, y and floor z of the base's axis [m], shape (..., 3); and yaw, 0 along x, counted
+        towards y [rad], shape (...). Both are NaN for an unknown target or scene, or a NaN.
+    """
+    xp = t.xp
+    random_numbers = as_array(t, u)
+    shape = tuple(random_numbers.shape)
+    targets = _check_targets(t, target, shape)
+    scenes = check_scenes(t, scene_id, shape)
+    scene_numbers = xp.zeros_like(targets) if scenes is None else scenes
+    is_valid = (targets >= 0) & (scene_numbers >= 0) & ~xp.isnan(random_numbers)
+    group = xp.where(is_valid, targets * t.shape.scenes + scene_numbers, 0)
+    first_index = xp.astype(t.stand_start[group], t.index_dtype)
+    num_poses = xp.astype(t.stand_start[group + 1], t.index_dtype) - first_index
+    fractions = xp.where(is_valid, random_numbers, 0.0)
+    # the product may be rounded up to the number of poses
+    pose_index = xp.astype(xp.floor(fractions * xp.astype(num_poses, t.dtype)), t.index_dtype)
+    pose_index = first_index + clip(xp, pose_index, 0, num_poses - 1)
+    positions = xp.stack(
+        [t.stand_x[pose_index], t.stand_y[pose_index], t.stand_z[pose_index]], axis=-1
+    )
+    yaw = t.stand_yaw[pose_index]
+    return xp.where(is_valid[..., None], positions, xp.nan), xp.where(is_valid, yaw, xp.nan)
+
+
+def can_reach(
+    t: GridTensors,
+    positions: Array,
+    yaw: Array,
+    target: Ids = 0,
+    scene_id: Ids = None,
+    tolerance: float | None = math.pi / 8,
+) -> Array:
+    """Test whether a robot's base at each pose reaches a target, like `PathFinder.can_reach`.
+
+    A footprint is tested at the heading of the cell's pose, and not at the base's own.
+
+    Args:
+        t: tensors with targets, see `with_stands`.
+        positions: positions of the base's axis, world x, y, z, shape (..., 3) [m].
+        yaw: headings of the bases, 0 along x, counted towards y, shape (...) [rad].
+        target: number of the target, see `with_stands`: an integer, or integers that broadcast to
+            (...).
+        scene_id: each position's scene; needed where the tensors have several grids.
+        tolerance: largest angle between a base's heading and that of the pose in its cell [rad],
+            >= 0; None for any heading.
+
+    Returns:
+        bool, shape (...); False for an unknown target or scene.
+    """
+    xp = t.xp
+    points = check_positions(t, positions)
+    shape = tuple(points.shape[:-1])
+    headings = as_array(t, yaw)
+    if tuple(headings.shape) != shape:
+        yaw_shape = tuple(headings.shape)
+        raise QueryError(f"expected a yaw of shape {shape}, one for each position, got {yaw_shape}")
+    targets = _check_targets(t, target, shape)
+    num_cells = int(t.floor.shape[0])
+    last_index = int(t.stand_key.shape[0]) - 1
+
+    def test(points: Array, headings: Array, targets: Array, scenes: Array) -> Array:
+        cell, _, is_in_cell = locate_in_scenes(t, points, scenes)
+        is_known = is_in_cell & (targets >= 0)
+        keys = xp.astype(xp.where(is_known, targets * num_cells + cell, -1), t.stand_key.dtype)
+        first_index = xp.searchsorted(t.stand_key, xp.reshape(keys, (-1,)), side="left")
+        first_index = xp.reshape(xp.astype(first_index, t.index_dtype), keys.shape)
+        is_reaching = xp.zeros_like(is_known)
+        for repeat in range(t.stand_repeats):
+            pose_index = clip(xp, first_index + repeat, 0, last_index)
+            is_pose = t.stand_key[pose_index] == keys
+            if tolerance is not None:
+                turns = (headings - t.stand_yaw[pose_index]) / (2.0 * math.pi)
+                is_pose = is_pose & (xp.abs(turns - xp.round(turns)) * (2.0 * math.pi) <= tolerance)
+            is_reaching = is_reaching | is_pose
+        return is_reaching
+
+    scenes = check_scenes(t, scene_id, shape)
+    return apply_in_chunks(t, test, points, headings, targets, scenes)
+
+
+def _check_targets(tensors: GridTensors, target: Ids, shape: tuple[int, ...]) -> Array:
+    """Check numbers of targets, and broadcast them to a shape; -1 in place of unknown ones."""
+    if not tensors.targets:
+        raise QueryError("the tensors know no targets: with_stands(t, […]) adds them")
+    num_targets = len(tensors.targets)
+    if isinstance(target, int | np.integer):
+        check_number(target, "target", num_targets)
+    return check_numbers(tensors, target, "target", num_targets, shape)
+
+
 def _num_goals(tensors: GridTensors) -> int:
     """Return the number of goals; raise an error if there are none."""
     if not tensors.goals:
