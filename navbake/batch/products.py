@@ -21,9 +21,11 @@ from navbake.episodes.sampler import make_episodes, make_rules, make_task
 from navbake.errors import ConfigError, MissingDependencyError, NavbakeError, QueryError
 from navbake.formats.format_table import OCTREE_SUFFIXES, VOXEL_SUFFIXES
 from navbake.formats.navgrid import write_navgrid
+from navbake.formats.source import write_bytes
 from navbake.formats.voxels import write_voxels
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid
+from navbake.runtime.path_finder import PathFinder
 from navbake.types import Json
 from navbake.views.layers import LAYERS
 
@@ -39,10 +41,12 @@ THUMBNAIL_NAME = "thumbnail.png"  # no product, as it can be made of the grid la
 # In a scene's folder: its files and key, see `job.read_record`. In the output folder: the shards.
 RECORD_NAME = ".navbake-made"
 PICTURE_LAYERS = ("rooms", "floor")
+STAND_REACH = [0.3, 0.8]  # least and greatest distance to an object [m]
 # all names that a product has ever had
 PRODUCT_FILE_PATTERN = re.compile(
     r"grid\.json\.gz|inflated-[\d.e+-]+\.json\.gz|nav2[\d._e+-]*\.(?:yaml|pgm)"
     r"|voxels-[\d.e+-]+\.\w+|picture\.png|report\.html|thumbnail\.png|episodes-[\w-]+\.jsonl"
+    r"|stand-[\d.e+-]+\.json"
 )
 MEASURE_CLASSES = {measure: CLASS_EDGES[measure] for measure in ("distance", "ratio", "levels")}
 """Measure of episodes -> the lower edges of its classes; a scene's row counts each class."""
@@ -54,6 +58,7 @@ PRODUCT_KINDS = {
     "voxels": (1, 2, "voxels:EDGE[:ENDING]"),
     "picture": (0, len(LAYERS), "picture[:LAYER…]"),
     "episodes": (1, 4, "episodes:TASK[:SAMPLER[:COUNT[:SEED]]]"),
+    "stand": (1, 3, "stand:RADIUS[:LEAST[:GREATEST]]"),
     "report": (0, 0, "report"),
 }
 """For each kind of product: the smallest and the largest number of values, and its form."""
@@ -120,6 +125,10 @@ def _check_values(kind: str, values: list[str], text: str) -> list[str]:
         lengths = [math.nan]
     if not all(math.isfinite(length) and length >= 0 for length in lengths):
         raise ConfigError(f"expected numbers >= 0 [m] after the colons, got {text!r} to make")
+    if kind == "stand":
+        lengths += STAND_REACH[len(lengths) - 1 :]
+        if lengths[1] > lengths[2]:
+            raise ConfigError(f"expected a reach LEAST <= GREATEST [m], got {text!r} to make")
     if voxel_ending and lengths[0] == 0:
         raise ConfigError(f"expected an edge of voxels > 0 [m], got {text!r} to make")
     if voxel_ending and f".{voxel_ending[0]}" not in VOXEL_SUFFIXES:
@@ -156,11 +165,32 @@ def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) 
         write_voxels(voxel_grid, folder / f"voxels-{voxel_edge}.{ending}")
     elif kind == "picture":
         plot.plot_grid(grid, folder / PICTURE_NAME, layers=tuple(values) or PICTURE_LAYERS)
+    elif kind == "stand":
+        radius, *reach = map(float, values)
+        _write_stands(grid, radius, (reach[0], reach[1]), folder / f"stand-{'-'.join(values)}.json")
     elif kind == "report":
         report.write_report(grid, folder / REPORT_NAME, audits=[audit(grid)])
     else:
         return _make_episodes(grid, values, folder)
     return {}
+
+
+def _write_stands(grid: NavGrid, radius: float, reach: tuple[float, float], path: Path) -> None:
+    """Write where a robot's base can stand to reach the objects of a scene.
+
+    Args:
+        grid: the scene's grid.
+        radius: the base's radius [m].
+        reach: least and greatest distance from the base's axis to an object [m].
+        path: the JSON file, of the form that `navbake stand` writes.
+    """
+    finder = PathFinder(grid.inflate(radius))
+    facts: Json = {"scene_id": grid.scene_id, "poses": [], "why_not": {}}
+    targets = [f"object:{name}" for name in finder.search.names.list_objects()]
+    if targets:
+        poses = finder.stand_poses(targets, reach=reach)
+        facts |= {"poses": poses.to_records(), "why_not": poses.why_not}
+    write_bytes(msgspec.json.format(msgspec.json.encode(facts)), path)
 
 
 def _make_episodes(grid: NavGrid, values: Sequence[str], folder: Path) -> Json:

@@ -382,23 +382,7 @@ def stand(
         finder_with_open_doors = navbake.PathFinder(grid_with_open_doors)
         poses_with_open_doors = finder_with_open_doors.stand_poses(targets, count=1, **rules)
         helps_to_open = len(poses_with_open_doors.why_not) < len(poses.why_not)
-    rows = [
-        {
-            "target": poses.targets[target_index],
-            "position": position,
-            "heading": heading,
-            "distance": distance,
-            "path_length": None if start is None else path_length,
-        }
-        for target_index, position, heading, distance, path_length in zip(
-            poses.target_index.tolist(),
-            poses.positions.tolist(),
-            poses.headings.tolist(),
-            poses.distances.tolist(),
-            poses.path_lengths.tolist(),
-            strict=True,
-        )
-    ]
+    rows = poses.to_records()
     facts = {"scene_id": nav_grid.scene_id, "poses": rows, "why_not": poses.why_not}
     add_facts(**facts)
     with options.keep_stdout_for(output):

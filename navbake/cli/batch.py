@@ -94,8 +94,8 @@ class ProductOptions:
     make: list[str] | None = option(
         "WHAT",
         "What to make of each scene, too: inflated:RADIUS[:CLEARANCE], nav2[:RADIUS], report, "
-        "voxels:EDGE[:ENDING], picture[:LAYER...], episodes:TASK[:SAMPLER[:COUNT[:SEED]]]. May be "
-        "repeated.",
+        "voxels:EDGE[:ENDING], picture[:LAYER...], episodes:TASK[:SAMPLER[:COUNT[:SEED]]], "
+        "stand:RADIUS[:LEAST[:GREATEST]]. May be repeated.",
     )
     has_page: bool = flag(
         "--page", "Write FOLDER/index.html: all scenes, their failures and times."

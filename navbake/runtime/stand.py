@@ -6,6 +6,7 @@ the cells where a base can stand, some that are apart from each other are picked
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias, cast
@@ -27,7 +28,7 @@ from navbake.runtime.stand_cells import (
     StandTarget,
     wrap_angle,
 )
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Json
 
 StandTargets: TypeAlias = str | ArrayLike | Sequence[str | ArrayLike]
 """A position, ``object:NAME``, ``category:NAME``, or a list of these."""
@@ -59,6 +60,31 @@ class StandPoses:
 
     def __len__(self) -> int:
         return len(self.headings)
+
+    def to_records(self) -> list[Json]:
+        """List the poses as dicts, as `navbake stand` writes them to JSON.
+
+        Returns:
+            For each pose its ``target`` (a name), ``position`` [m], ``heading`` [rad], ``distance``
+            [m] and ``path_length`` [m], None without a start.
+        """
+        return [
+            {
+                "target": self.targets[target_index],
+                "position": position,
+                "heading": heading,
+                "distance": distance,
+                "path_length": None if math.isnan(path_length) else path_length,
+            }
+            for target_index, position, heading, distance, path_length in zip(
+                self.target_index.tolist(),
+                self.positions.tolist(),
+                self.headings.tolist(),
+                self.distances.tolist(),
+                self.path_lengths.tolist(),
+                strict=True,
+            )
+        ]
 
 
 def stand_poses(

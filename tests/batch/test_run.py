@@ -194,7 +194,7 @@ def names_in_docs():
 def test_products_are_made_missed_and_removed(scenes, here):
     make = [
         *("inflated:0.30", "inflated:0.3:0.1", "nav2", "nav2:0.3", "picture", "report"),
-        "episodes:point",
+        *("episodes:point", "stand:0.20"),
         *("voxels:0.5", "voxels:0.5:bt", "voxels:0.5:ot", "voxels:0.5:npz"),
     ]
     run("scenes/first.xml", products=make)
@@ -215,6 +215,18 @@ def test_products_are_made_missed_and_removed(scenes, here):
     assert run("scenes/first.xml", products=["report", "report"])[0] == ["first"]
     left = {path.name for path in Path("out/first").iterdir()}
     assert left == {"grid.json.gz", "report.html", "notes.txt", RECORD_NAME}
+
+
+def test_bases_stand_where_the_finder_has_them(scenes, here):
+    run("scenes/first.xml", products=["stand:.2:0.1:0.6", "stand:0.2:0.3:.8", "stand:0.2"])
+    names = {path.name for path in Path("out/first").glob("stand*")}
+    assert names == {"stand-0.2-0.1-0.6.json", "stand-0.2-0.3-0.8.json"}
+    finder = navbake.PathFinder(navbake.load("out/first/grid.json.gz").inflate(0.2))
+    targets = [f"object:{name}" for name in finder.search.names.list_objects()]
+    poses = finder.stand_poses(targets, reach=(0.1, 0.6))
+    made = json.loads(Path("out/first/stand-0.2-0.1-0.6.json").read_text())
+    assert made == {"scene_id": "first", "poses": poses.to_records(), "why_not": poses.why_not}
+    assert len(targets) and len(poses)
 
 
 def test_files_of_the_user_in_a_scene_s_folder_stay(tmp_path, monkeypatch, here):
@@ -360,6 +372,9 @@ def test_outlines_of_an_override_are_beside_each_scenes_settings(scenes, here):
         ("voxels:0.1:obj", "expected an ending of binvox, bt, ot, npz"),
         ("picture:colours", "expected layers of occupancy"),
         ("report:1", "expected report"),
+        ("stand", "expected stand:RADIUS"),
+        ("stand:0.2:0.8:0.3", "expected a reach LEAST <= GREATEST"),
+        ("stand:0.2:0.9", "expected a reach LEAST <= GREATEST"),
     ],
 )
 def test_a_wrong_product_is_refused_before_anything_is_baked(scenes, product, message):
