@@ -26,7 +26,7 @@ for cost in (0.0, 0.3):
 
 path.save("flight.json")
 with open("flight.png", "wb") as file:
-    file.write(draw_flight(voxels, path))
+    file.write(draw_flight(voxels, path, "house"))
 
 # Which way is away from what is nearest? As potential fields and trajectory optimizers ask.
 field = voxels.distances(signed=True)

@@ -1,4 +1,6 @@
-"""Lengths as text."""
+"""Lengths and positions as text."""
+
+from collections.abc import Iterable
 
 
 def format_length(length: float, num_decimals: int = 2) -> str:
@@ -9,3 +11,16 @@ def format_length(length: float, num_decimals: int = 2) -> str:
         num_decimals: How many decimals the text has.
     """
     return f"{round(float(length), num_decimals) + 0.0:.{num_decimals}f}"
+
+
+def format_position(position: Iterable[float]) -> str:
+    """Format a position for a message, with six digits a number; none of them is ``-0``.
+
+    Args:
+        position: The coordinates, finite numbers [m].
+
+    Returns:
+        The numbers with commas in between, such as ``1.5, -2, 0.25``.
+    """
+    # a millionth of a metre is far below what positions are exact to
+    return ", ".join(f"{round(float(coordinate), 6) + 0.0:g}" for coordinate in position)

@@ -196,7 +196,7 @@ def draw_fly() -> bytes:
     lower, upper = voxelizer.shapes.bounds
     voxels = voxelizer.create((lower + upper) / 2, res=0.1, size=upper - lower + 2.0, align=True)
     flight = navbake.VoxelFinder(voxels, 0.25).find_path((0.0, -4.4, 1.5), (-3.0, 3.0, 4.2))
-    return draw_flight(voxels, flight)
+    return draw_flight(voxels, flight, "house")
 
 
 ROLES_SCENE = """

@@ -13,6 +13,7 @@ from navbake.cli.episodes import EPISODE_SUFFIXES, find_relative_path, print_dra
 from navbake.cli.options import OUTPUT_FLAGS, Overrides, argument, option
 from navbake.cli.printing import add_facts, add_files, print_warnings, say, say_unless_quiet
 from navbake.formats.format_table import VOXEL_SUFFIXES
+from navbake.lengths import format_length
 
 if TYPE_CHECKING:
     from navbake.config.settings import BakeConfig
@@ -112,7 +113,7 @@ def fly(
     finder = navbake.VoxelFinder(voxels, radius, min_height, max_height, clearance, unknown=unknown)
     if episodes is None:
         add_facts(scene_id=scene_id)
-        _plan_path(finder, begin, end, paths)
+        _plan_path(finder, begin, end, paths, title=scene_id or scene.stem)
         return
     output = paths[0]
     episode_set = sets.make_flight_episodes(
@@ -134,8 +135,18 @@ def fly(
     warn_of_few(episode_set, episodes)
 
 
-def _plan_path(finder: VoxelFinder, start: Triple, goal: Triple, outputs: list[Path]) -> None:
-    """Plan a path, print it and write it; exit with 1 if there is none."""
+def _plan_path(
+    finder: VoxelFinder, start: Triple, goal: Triple, outputs: list[Path], title: str
+) -> None:
+    """Plan a path, print it and write it; exit with 1 if there is none.
+
+    Args:
+        finder: the voxels and the ball.
+        start: world x, y, z [m].
+        goal: world x, y, z [m].
+        outputs: the files to write.
+        title: what the heading of a picture begins with.
+    """
     flight = finder.find_path(start, goal)
     reason = finder.why_not(start, goal) if flight is None else None
     facts = None if flight is None else {key: getattr(flight, key) for key in FLIGHT_FIELDS}
@@ -146,10 +157,11 @@ def _plan_path(finder: VoxelFinder, start: Triple, goal: Triple, outputs: list[P
         say(f"length  {flight.length:.3f} m")
         say(f"cost    {flight.cost:.3f}")
         say("      x       y       z")
-        for x, y, z in flight.positions.round(3) + 0.0:  # no -0.000
-            say(f"{x:7.3f} {y:7.3f} {z:7.3f}")
+        for position in flight.positions.tolist():
+            x, y, z = [format_length(coordinate, 3) for coordinate in position]
+            say(f"{x:>7} {y:>7} {z:>7}")
     for output in outputs:
-        _write_output(output, finder.voxels, flight)
+        _write_output(output, finder.voxels, flight, title)
     if flight is None:
         raise Exit(1)
 
@@ -185,7 +197,7 @@ def _voxelize_box(settings: BakeConfig, res: float, margin: float) -> VoxelGrid:
     return voxelizer.create((lower + upper) / 2.0, res=res, size=size, align=True)
 
 
-def _write_output(output: Path, voxels: VoxelGrid, flight: FlightPath | None) -> None:
+def _write_output(output: Path, voxels: VoxelGrid, flight: FlightPath | None, title: str) -> None:
     """Write one of the files; of those of a path, nothing if there is none."""
     suffix = output.suffix.lower()
     if suffix == ".npz":
@@ -196,7 +208,7 @@ def _write_output(output: Path, voxels: VoxelGrid, flight: FlightPath | None) ->
     elif suffix == ".png":
         from navbake.views.flight import draw_flight  # loads numpy
 
-        options.write_output(draw_flight(voxels, flight), output)  # adds the file
+        options.write_output(draw_flight(voxels, flight, title), output)  # adds the file
     else:
         flight.save(output, voxels=voxels if suffix == ".mcap" else None)
         add_files(output)

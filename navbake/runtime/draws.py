@@ -18,8 +18,9 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
+from navbake.lengths import format_position
 from navbake.navgrid.cells import check_level
-from navbake.runtime.flat_grid import FlatGrid, RealNumber, check_distance, format_position
+from navbake.runtime.flat_grid import FlatGrid, RealNumber, check_distance
 from navbake.runtime.inflation import check_radius, ledges_setting
 from navbake.runtime.places import DISTANCE_SLACK, cells_in_annulus, clearance, try_step
 from navbake.runtime.search import Search

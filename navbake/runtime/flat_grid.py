@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.errors import QueryError
 from navbake.known_names import suggest
 from navbake.lazy import lazy
+from navbake.lengths import format_position
 from navbake.navgrid.cells import Cell, Cells, check_positions
 from navbake.navgrid.islands import group_steps, label_islands, step_limit, values_by_area
 from navbake.navgrid.links import DEFAULT_SPEED, Agent, Arcs, find_arcs
@@ -370,11 +371,6 @@ def check_distance(distance: float, name: str = "max_distance") -> None:
         raise QueryError(
             f"expected {expected}, got {distance!r}", key=name, value=distance, expected=expected
         )
-
-
-def format_position(position: Float) -> str:
-    """Format a position for a message: its numbers with commas in between."""
-    return ", ".join(f"{coordinate:g}" for coordinate in position)
 
 
 def to_kernel_positions(positions: Float, level: int | None) -> tuple[int, Float]:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from navbake.known_names import list_first
 from navbake.lazy import lazy
+from navbake.lengths import format_length
 from navbake.navgrid.cells import place_in
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.flat_grid import STAIRS_RISE, list_doors_along
@@ -542,8 +543,7 @@ def _name_level(grid: NavGrid, number: int) -> str:
 
 def format_point(position: ArrayLike) -> str:
     """Format a position for a sentence, to the centimetre and in parentheses."""
-    rounded_position = np.round(np.asarray(position), 2) + 0.0  # -0.0 + 0.0 is 0.0
-    return f"({', '.join(f'{coordinate:.2f}' for coordinate in rounded_position)})"
+    return f"({', '.join(map(format_length, np.asarray(position)))})"
 
 
 def round_down(length: float) -> float:

@@ -15,13 +15,12 @@ from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.known_names import check_choice
-from navbake.lengths import format_length
+from navbake.lengths import format_length, format_position
 from navbake.navgrid.grid import MAX_RADIUS, NavGrid
 from navbake.runtime import inflation
 from navbake.runtime.flat_grid import (
     find_leaf_cells,
     find_stairs,
-    format_position,
     map_islands,
 )
 from navbake.runtime.paths import Goal, find_target

@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
 from navbake.lazy import lazy
+from navbake.lengths import format_position
 from navbake.navgrid.cells import check_level, check_positions
 from navbake.navgrid.colors import FREE, NO_FLOOR, OCCUPIED, rgb_of
 from navbake.runtime.flat_grid import (
     FlatGrid,
     RealNumber,
     check_distance,
-    format_position,
     to_kernel_positions,
 )
 from navbake.runtime.paths import cells_with_name

@@ -17,9 +17,10 @@ from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.known_names import suggest
+from navbake.lengths import format_position
 from navbake.navgrid.cells import check_positions
 from navbake.navgrid.user_data import find_category
-from navbake.runtime.flat_grid import RealNumber, check_distance, format_position
+from navbake.runtime.flat_grid import RealNumber, check_distance
 from navbake.runtime.search import NO_CELLS, Search
 from navbake.runtime.stand_cells import (
     REACH_SLACK,

@@ -16,11 +16,12 @@ from numpy.typing import ArrayLike
 from navbake.errors import QueryError
 from navbake.known_names import check_choice
 from navbake.lazy import lazy, resolve
+from navbake.lengths import format_position
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 from navbake.voxels.distances import DistanceField
 from navbake.voxels.grid import VoxelGrid
-from navbake.voxels.positions import check_xyz, format_position
+from navbake.voxels.positions import check_xyz
 
 if TYPE_CHECKING:
     from navbake.voxels.flight_kernels import Air, Moves

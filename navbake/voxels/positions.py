@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
+from navbake.lengths import format_position
 from navbake.types import Float
 
 
@@ -54,8 +55,3 @@ def check_inside(positions: Float, bounds: Float) -> None:
             key="xyz",
             value=tuple(position.tolist()),
         )
-
-
-def format_position(position: Float) -> str:
-    """Write a position for messages."""
-    return ", ".join(f"{coordinate:.6g}" for coordinate in position)

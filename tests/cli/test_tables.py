@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from navbake.auditor.facts import Remark
 from navbake.cli.printing import lay_out_table, print_error, print_tables
-from navbake.lengths import format_length
+from navbake.lengths import format_length, format_position
 from navbake.navgrid.rooms import Room
 from navbake.views.tables import make_level_table, make_room_table, make_table
 
@@ -90,6 +90,11 @@ def test_rooms_of_one_level_have_short_rows():
     lines = lay_out_table(make_room_table([room(n) for n in range(1, 51)], ["ground floor"]), 80)
     assert len(lines) == 51
     assert lines[0].split() == ["id", "m2", "centroid", "x", "y", "z", "m", "from"]
+
+
+def test_positions_have_six_digits_and_no_minus_zero():
+    assert format_position(np.array([-0.0, -1e-9, 1234.5678, 1e-5])) == "0, 0, 1234.57, 1e-05"
+    assert format_position((1, -2.5)) == "1, -2.5"
 
 
 def test_no_length_is_minus_zero():
