@@ -162,34 +162,13 @@ def run_batch(
                 f"into {plan.folder}",
             )
             exit_stack.callback(index_file.close)
-        row_of_scene: dict[str, SceneRow] = {}  # scene's id -> row
-        if only_merge:  # scenes that slices baked, or that failed there
-            batch_ids = {job.id for job in jobs}
-            slice_rows = index.merge_rows(plan.folder, index.find_slice_indexes(plan.folder))
-            row_of_scene = {
-                id: row
-                for id, row in slice_rows.items()
-                if id in batch_ids and row.get("status") in (OK, FAILED)
-            }
         inspector = Inspector(plan, (workers or 1) if executor is None else None, limits)
-        record_checks = check_records(
-            plan, [job for job in jobs if job.id not in row_of_scene], inspector
-        )
-        row_of_scene |= {row["id"]: row for row, _ in record_checks if row is not None}
+        row_of_scene = _list_earlier_rows(plan, jobs, inspector, only_merge=only_merge)
         remaining_jobs = [] if only_merge else [job for job in jobs if job.id not in row_of_scene]
         batch_result = BatchResult(num_skipped=len(row_of_scene))
         num_failed_scenes = 0
         if only_merge:
             batch_result.num_skipped = sum(row["status"] == OK for row in row_of_scene.values())
-
-        def report_job_event(jobs: Sequence[Job], event: str, job_end: JobEnd) -> None:
-            event_values: Json = {"id": jobs[job_end.number].id}
-            if event == RETRIED:
-                event_values["worker"] = job_end.worker
-                event_values["seconds"] = round(job_end.seconds, 3)
-                event_values["how"] = job_end.how
-                event_values["error"] = job_end.reason
-            on_event(event, event_values)
 
         try:
             if remaining_jobs:
@@ -201,41 +180,24 @@ def run_batch(
                 for job in remaining_jobs
                 if job.id in twin_of_scene
             ]
-            bake_job = partial(bake_scene, plan)
-            prepare = partial(prepare_worker, plan.products, plan.thumbnail)
-            for pass_jobs in filter(None, (jobs_to_bake, jobs_to_copy)):
-                on_job_event = partial(report_job_event, pass_jobs)
-                with ExitStack() as pass_stack:
-                    if executor is None:
-                        num_workers = min(workers or 1, len(pass_jobs))
-                        worker_crew = Workers(bake_job, num_workers, limits=limits, prepare=prepare)
-                        job_ends = pass_stack.enter_context(worker_crew).run(
-                            pass_jobs, on_job_event
-                        )
-                    else:
-                        job_ends = executor(
-                            pass_jobs,
-                            bake_job,
-                            workers,
-                            limits=limits,
-                            prepare=prepare,
-                            on_event=on_job_event,
-                        )
-                    pass_stack.enter_context(closing(job_ends))
-                    for job_end in job_ends:
-                        job = pass_jobs[job_end.number]
-                        row = job_end.result
-                        if job_end.how != DONE:
-                            row = record_failure(
-                                plan, job, job_end.how, job_end.reason, job_end.seconds
-                            )
+            for pass_jobs in (jobs_to_bake, jobs_to_copy):
+                scene_rows = _run_jobs(
+                    plan,
+                    pass_jobs,
+                    on_event,
+                    workers=workers,
+                    limits=limits,
+                    executor=executor,
+                )
+                with closing(scene_rows):
+                    for row, worker in scene_rows:
                         if row["status"] == LEFT:  # there is no room for other scenes, either
                             batch_result.stop_reason = row["error"]
                             break
-                        row_of_scene[job.id] = row
+                        row_of_scene[row["id"]] = row
                         if index_file is not None:
                             index_file.add(row)
-                        on_event("scene", {**row, "worker": job_end.worker})
+                        on_event("scene", {**row, "worker": worker})
                         num_failed_scenes += row["status"] == FAILED
                         if max_failures is not None and num_failed_scenes > max_failures:
                             batch_result.stop_reason = (
@@ -266,6 +228,93 @@ def run_batch(
             except NavbakeError as error:
                 batch_result.stop_reason = str(error)
         return batch_result
+
+
+def _list_earlier_rows(
+    plan: Plan, jobs: Sequence[Job], inspector: Inspector, *, only_merge: bool
+) -> dict[str, SceneRow]:
+    """List the rows of scenes that earlier runs, or slices of the batch, have baked.
+
+    Args:
+        plan: the batch's options.
+        jobs: the scenes.
+        inspector: tells whether the files of a scene have changed since.
+        only_merge: whether to take the rows of slices' indexes, also of scenes that failed there.
+
+    Returns:
+        Scene's id -> row.
+    """
+    row_of_scene: dict[str, SceneRow] = {}
+    if only_merge:
+        batch_ids = {job.id for job in jobs}
+        slice_rows = index.merge_rows(plan.folder, index.find_slice_indexes(plan.folder))
+        row_of_scene = {
+            id: row
+            for id, row in slice_rows.items()
+            if id in batch_ids and row.get("status") in (OK, FAILED)
+        }
+    other_jobs = [job for job in jobs if job.id not in row_of_scene]
+    record_checks = check_records(plan, other_jobs, inspector)
+    return row_of_scene | {row["id"]: row for row, _ in record_checks if row is not None}
+
+
+def _run_jobs(
+    plan: Plan,
+    jobs: Sequence[Job],
+    on_event: OnBatchEvent,
+    *,
+    workers: int | None,
+    limits: JobLimits,
+    executor: Executor | None,
+) -> Generator[tuple[SceneRow, int], None, None]:
+    """Bake scenes in worker processes, which end with this generator.
+
+    Args:
+        plan: the batch's options.
+        jobs: the scenes.
+        on_event: is called when a scene begins, and when it is retried.
+        workers: see `run_batch`.
+        limits: see `run_batch`.
+        executor: see `run_batch`.
+
+    Yields:
+        The row of a scene that has ended, and the process id of its worker, 0 if unknown.
+    """
+    if not jobs:
+        return
+    bake_job = partial(bake_scene, plan)
+    prepare = partial(prepare_worker, plan.products, plan.thumbnail)
+
+    def report_job_event(event: str, job_end: JobEnd) -> None:
+        event_values: Json = {"id": jobs[job_end.number].id}
+        if event == RETRIED:
+            event_values["worker"] = job_end.worker
+            event_values["seconds"] = round(job_end.seconds, 3)
+            event_values["how"] = job_end.how
+            event_values["error"] = job_end.reason
+        on_event(event, event_values)
+
+    with ExitStack() as exit_stack:
+        if executor is None:
+            num_workers = min(workers or 1, len(jobs))
+            worker_crew = Workers(bake_job, num_workers, limits=limits, prepare=prepare)
+            job_ends = exit_stack.enter_context(worker_crew).run(jobs, report_job_event)
+        else:
+            job_ends = executor(
+                jobs,
+                bake_job,
+                workers,
+                limits=limits,
+                prepare=prepare,
+                on_event=report_job_event,
+            )
+        exit_stack.enter_context(closing(job_ends))
+        for job_end in job_ends:
+            row = job_end.result
+            if job_end.how != DONE:
+                job = jobs[job_end.number]
+                row = record_failure(plan, job, job_end.how, job_end.reason, job_end.seconds)
+            yield row, job_end.worker
 
 
 def write_episode_sets(plan: Plan, rows: Sequence[SceneRow]) -> None:
