@@ -20,6 +20,9 @@ from navbake.types import Int
 
 # How many rows of numbers the first call of a kernel in `list_rows` has room for
 FIRST_CAPACITY = 4096
+# How many times as many rows the next call has room for. A block that had no room is done again,
+# and may have many rows, as in a tower; memory that no row is written into takes none
+CAPACITY_GROWTH = 8
 
 
 class Blocks:
@@ -57,7 +60,11 @@ class Blocks:
         return cells
 
     def list_rows(
-        self, kernel: Callable[..., int], empty_arrays: tuple[NDArray[Any], ...], *args: object
+        self,
+        kernel: Callable[..., int],
+        empty_arrays: tuple[NDArray[Any], ...],
+        *args: object,
+        least: int = 1,
     ) -> tuple[Int, list[NDArray[Any]]]:
         """Call a kernel that lists rows of numbers for each block, on all threads.
 
@@ -67,13 +74,14 @@ class Blocks:
             empty_arrays: arrays without entries, which have the dtypes, and the shapes after the
                 first axis, of the arrays that receive the rows.
             args: the kernel's first arguments.
+            least: smallest number of blocks for one call, see `run_in_chunks`.
 
         Returns:
             The id of the block that each row belongs to, (n,); and the rows, as arrays of shape
             (n, ...).
         """
         block_ids = np.arange(self.num_blocks)
-        row_counts, row_arrays = list_rows(kernel, block_ids, empty_arrays, *args)
+        row_counts, row_arrays = list_rows(kernel, block_ids, empty_arrays, *args, least=least)
         return np.repeat(block_ids, row_counts), row_arrays
 
 
@@ -167,7 +175,7 @@ def list_rows(
             num_rows = row_counts[first_block:next_block].sum()
             arrays_of_range[first_block] = [array[:num_rows] for array in row_arrays]
             first_block = next_block
-            capacity = 2 * capacity
+            capacity = CAPACITY_GROWTH * capacity
 
     run_in_chunks(list_range, len(blocks), min_chunk_size=least)
     if len(arrays_of_range) == 2:

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.core.area_test import AreaTest, is_large_enough, make_area_test
 from navbake.baker.core.arrays import HeightRange
+from navbake.baker.core.tiles import BLOCK
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors import level_kernels as kernels
 from navbake.baker.floors.component_kernels import HEIGHT_BIN, JoinRule, cross_tabulate
@@ -51,7 +52,7 @@ from navbake.baker.floors.regions import (
     make_region_join_rule,
 )
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
-from navbake.threads import run_in_chunks
+from navbake.threads import LEAST_CELLS, run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
 # Floors up to this far below the ground of a configured level still belong to the level [m]
@@ -61,7 +62,7 @@ CONFIGURED_GROUND_TOLERANCE = 0.02
 UNEVENNESS = 0.005
 # With more than MANY_LEVELS levels, the next ground is first searched for up to this height above
 # the last one, as levels are rarely higher; this saves time in towers [m]
-USUAL_LEVEL_HEIGHT = 8.0
+USUAL_LEVEL_HEIGHT = 4.0
 MANY_LEVELS = 4
 # A tread, a landing or a piece of a ramp belongs to a stair if the floors that it leads to, up and
 # down, each have more than this many times its own floor's area, see `_find_stairs`
@@ -259,11 +260,20 @@ def assign_levels(
         has_stacked_candidates,
     )
     is_stacked = bool(has_stacked_candidates.any())
-    if is_stacked:
-        candidates = _find_stairs(regions, group_of_surface, agent.traversable_floor_height)
-    else:
+    max_step = agent.traversable_floor_height
+    max_rise = (regions.highest_z - regions.lowest_z)[is_floor].max(initial=0.0)
+    if not is_stacked:
         # stairs matter only where surfaces lie above each other
         candidates = Candidates(group_of_surface, NO_GROUPS, np.empty(0, np.bool_))
+    elif max_rise <= min(max_step, HEIGHT_BIN):
+        # each region is one plateau, which no step leads to
+        candidates = Candidates(
+            group_of_surface,
+            regions.components.component_of_surface,
+            np.zeros(regions.components.num_components, dtype=np.bool_),
+        )
+    else:
+        candidates = _find_stairs(regions, group_of_surface, max_step)
     assignment_input = AssignmentInput(
         regions=regions,
         candidates=candidates,
@@ -393,7 +403,8 @@ def _find_grounds(assignment_input: AssignmentInput) -> list[float]:
     half-storey, a stair, or a platform with nothing under it is no new level.
     """
     half_step = max(assignment_input.agent.traversable_floor_height, HEIGHT_BIN) / 2
-    ground = _find_next_ground(assignment_input, -np.inf, half_step)
+    area_test = make_area_test(assignment_input.regions.lattice, assignment_input.settings)
+    ground = _find_next_ground(assignment_input, area_test, -np.inf, half_step)
     if ground is None:
         # nothing is large enough: take the most common height of the lowest surfaces
         selection = HeightSelection(-np.inf, LOWEST_SURFACES, half_step)
@@ -403,7 +414,9 @@ def _find_grounds(assignment_input: AssignmentInput) -> list[float]:
         height_limits = [np.inf]
         if len(grounds) > MANY_LEVELS:
             height_limits = [grounds[-1] + USUAL_LEVEL_HEIGHT, np.inf]
-        ground = _find_next_ground(assignment_input, grounds[-1], half_step, height_limits)
+        ground = _find_next_ground(
+            assignment_input, area_test, grounds[-1], half_step, height_limits
+        )
         if ground is None:
             break
         grounds.append(ground)
@@ -412,6 +425,7 @@ def _find_grounds(assignment_input: AssignmentInput) -> list[float]:
 
 def _find_next_ground(
     assignment_input: AssignmentInput,
+    area_test: AreaTest,
     ground: float,
     half_step: float,
     height_limits: Sequence[float] = (np.inf,),
@@ -423,6 +437,7 @@ def _find_next_ground(
 
     Args:
         assignment_input: the surfaces and the settings.
+        area_test: the test of large floors, by `floors.min_area` and `floors.shrink`.
         ground: the ground of the level [m]; -inf to search the lowest surfaces of all columns.
         half_step: half of the highest step [m].
         height_limits: heights, ascending. Only ranges below the first height are searched; if none
@@ -431,7 +446,6 @@ def _find_next_ground(
     Returns:
         The height [m]; None if there is no such floor.
     """
-    area_test = make_area_test(assignment_input.regions.lattice, assignment_input.settings)
     for top in height_limits:
         # before shrinking, to skip bands with too few surfaces
         selection = HeightSelection(ground, ALL_BANDS, half_step, top)
@@ -483,6 +497,7 @@ def _count_heights(
         assignment_input.candidates,
         selection,
         area_test,
+        least=LEAST_CELLS // BLOCK**2,
     )
     return HeightHistogram(
         band=histogram_rows[:, 0],
@@ -539,6 +554,9 @@ def _move_grounds_down(assignment_input: AssignmentInput, grounds: list[float]) 
         The levels of all surfaces, with the lowered grounds.
     """
     surface_levels = _assign_surfaces(assignment_input, grounds)
+    if not _has_region_on_several_levels(assignment_input.regions, surface_levels):
+        # steps connect surfaces of one region, so none leads to another level
+        return surface_levels
     for _ in grounds[1:]:
         lowered_grounds = _move_grounds_down_once(assignment_input, surface_levels)
         if lowered_grounds == surface_levels.grounds:
@@ -548,6 +566,15 @@ def _move_grounds_down(assignment_input: AssignmentInput, grounds: list[float]) 
     if surface_levels.grounds != sorted(surface_levels.grounds):
         surface_levels = _assign_surfaces(assignment_input, sorted(surface_levels.grounds))
     return surface_levels
+
+
+def _has_region_on_several_levels(regions: Regions, surface_levels: SurfaceLevels) -> bool:
+    """Return whether the surfaces of any region are not all on one level."""
+    component_levels = surface_levels.component_levels
+    region = regions.region_of_component[component_levels.component]
+    level_of_region = np.zeros(regions.num_regions, dtype=np.int64)
+    level_of_region[region] = component_levels.level
+    return bool((level_of_region[region] != component_levels.level).any())
 
 
 def _move_grounds_down_once(
