@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.core.area_test import AreaTest, is_large_enough, make_area_test
 from navbake.baker.core.arrays import HeightRange
+from navbake.baker.core.blocks import Blocks
 from navbake.baker.core.tiles import BLOCK
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors import level_kernels as kernels
@@ -51,6 +52,7 @@ from navbake.baker.floors.regions import (
     find_components,
     make_region_join_rule,
 )
+from navbake.baker.floors.surface_kernels import Surfaces
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.threads import LEAST_CELLS, run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
@@ -404,18 +406,22 @@ def _find_grounds(assignment_input: AssignmentInput) -> list[float]:
     """
     half_step = max(assignment_input.agent.traversable_floor_height, HEIGHT_BIN) / 2
     area_test = make_area_test(assignment_input.regions.lattice, assignment_input.settings)
-    ground = _find_next_ground(assignment_input, area_test, -np.inf, half_step)
+    surfaces = assignment_input.regions.surfaces
+    candidates = assignment_input.candidates
+    ground = _find_next_ground(surfaces, candidates, area_test, -np.inf, half_step)
     if ground is None:
         # nothing is large enough: take the most common height of the lowest surfaces
         selection = HeightSelection(-np.inf, LOWEST_SURFACES, half_step)
-        ground = _count_heights(assignment_input, selection, NO_SHRINKING).find_most_common_height()
+        histogram = _count_heights(surfaces, candidates, selection, NO_SHRINKING)
+        ground = histogram.find_most_common_height()
     grounds = [ground]
     while assignment_input.is_stacked:
+        surfaces = _skip_surfaces_below(surfaces, grounds[-1] - LIMIT_SLACK)
         height_limits = [np.inf]
         if len(grounds) > MANY_LEVELS:
             height_limits = [grounds[-1] + USUAL_LEVEL_HEIGHT, np.inf]
         ground = _find_next_ground(
-            assignment_input, area_test, grounds[-1], half_step, height_limits
+            surfaces, candidates, area_test, grounds[-1], half_step, height_limits
         )
         if ground is None:
             break
@@ -423,8 +429,25 @@ def _find_grounds(assignment_input: AssignmentInput) -> list[float]:
     return [round(ground, GROUND_DECIMALS) for ground in grounds]
 
 
+def _skip_surfaces_below(surfaces: Surfaces, height: float) -> Surfaces:
+    """Return the surfaces without those at the lower end of each column that lie below a height.
+
+    Args:
+        surfaces: the surfaces of all cells.
+        height: the height [m].
+    """
+    first = surfaces.first.copy()
+    cells = np.flatnonzero(first < surfaces.end)
+    while len(cells):
+        cells = cells[surfaces.z[first[cells]] < height]
+        first[cells] += 1
+        cells = cells[first[cells] < surfaces.end[cells]]
+    return surfaces._replace(first=first)
+
+
 def _find_next_ground(
-    assignment_input: AssignmentInput,
+    surfaces: Surfaces,
+    candidates: Candidates,
     area_test: AreaTest,
     ground: float,
     half_step: float,
@@ -436,7 +459,8 @@ def _find_next_ground(
     shrunk by `floors.shrink`. The ranges are one step high and begin half a step apart.
 
     Args:
-        assignment_input: the surfaces and the settings.
+        surfaces: the surfaces of all cells; those below the ground may be left out.
+        candidates: which of them are to be assigned, and which belong to stairs.
         area_test: the test of large floors, by `floors.min_area` and `floors.shrink`.
         ground: the ground of the level [m]; -inf to search the lowest surfaces of all columns.
         half_step: half of the highest step [m].
@@ -449,7 +473,7 @@ def _find_next_ground(
     for top in height_limits:
         # before shrinking, to skip bands with too few surfaces
         selection = HeightSelection(ground, ALL_BANDS, half_step, top)
-        histogram = _count_heights(assignment_input, selection, NO_SHRINKING)
+        histogram = _count_heights(surfaces, candidates, selection, NO_SHRINKING)
         band_numbers, band_index = np.unique(histogram.band, return_inverse=True)
         num_surfaces_of_band = np.bincount(band_index, histogram.num_surfaces)
         num_surfaces_by_band = dict(
@@ -469,7 +493,7 @@ def _find_next_ground(
                 continue
             # stairs and thresholds are too narrow to remain after shrinking
             selection = HeightSelection(ground, band, half_step, end_height)
-            remaining_histogram = _count_heights(assignment_input, selection, area_test)
+            remaining_histogram = _count_heights(surfaces, candidates, selection, area_test)
             if remaining_histogram.num_surfaces.sum() < area_test.min_cells:
                 continue
             if len(remaining_histogram.num_surfaces):
@@ -480,21 +504,21 @@ def _find_next_ground(
 
 
 def _count_heights(
-    assignment_input: AssignmentInput, selection: HeightSelection, area_test: AreaTest
+    surfaces: Surfaces, candidates: Candidates, selection: HeightSelection, area_test: AreaTest
 ) -> HeightHistogram:
     """Count how many surfaces of floors lie at each height, see `count_heights`.
 
     Args:
-        assignment_input: all surfaces, and which of them are floors.
+        surfaces: the surfaces of all cells; those below the selection's ground may be left out.
+        candidates: which of them are to be assigned, and which belong to stairs.
         selection: which of the floors are counted.
         area_test: the disc by which their cells are shrunk before they are counted.
     """
-    regions = assignment_input.regions
-    _, (histogram_rows, lowest_z) = regions.blocks.list_rows(
+    _, (histogram_rows, lowest_z) = Blocks(surfaces.lattice).list_rows(
         kernels.count_heights,
         NO_HISTOGRAM_ROWS,
-        regions.surfaces,
-        assignment_input.candidates,
+        surfaces,
+        candidates,
         selection,
         area_test,
         least=LEAST_CELLS // BLOCK**2,

@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.core.bisection_kernels import find_first_at_or_above
 from navbake.baker.core.tiles import BLOCK, block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.component_kernels import count_row, height_bin
@@ -200,13 +199,10 @@ def _count_block(surfaces, candidates, selection, area_test, block, masks, row_a
                 cell = row * lattice.width + col
                 end_in_cell = surfaces.end[cell]
                 lowest_counted_z = selection.ground - LIMIT_SLACK
-                for j in range(
-                    find_first_at_or_above(
-                        surfaces.z, surfaces.first[cell], end_in_cell, lowest_counted_z
-                    ),
-                    end_in_cell,
-                ):
+                for j in range(surfaces.first[cell], end_in_cell):
                     z = surfaces.z[j]
+                    if z < lowest_counted_z:
+                        continue
                     if z >= selection.top or (selection.ground == -math.inf and not is_lowest):
                         break
                     if candidates.group_of_surface[j] < 0:
@@ -239,7 +235,8 @@ def count_heights(
     This is a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
-        surfaces: the surfaces of all cells, as `Surfaces`.
+        surfaces: the surfaces of all cells, as `Surfaces`; those that lie below the selection's
+            ground may be left out, which saves time in towers.
         candidates: a `Candidates`: which surfaces are to be assigned, and which of them are stairs.
         selection: a `HeightSelection`: which of these surfaces are counted.
         area_test: an `AreaTest`, by whose disc the cells are shrunk; with radius 0 they are not.
