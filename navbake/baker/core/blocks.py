@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 
 from navbake.baker.core.tiles import BLOCK
 from navbake.navgrid.lattice import Lattice
-from navbake.threads import run_in_chunks
+from navbake.threads import LEAST_CELLS, run_in_chunks
 from navbake.types import Int
 
 # How many rows of numbers the first call of a kernel in `list_rows` has room for
 FIRST_CAPACITY = 4096
+# The fewest blocks in a chunk, where little is done for each cell
+LEAST_BLOCKS = LEAST_CELLS // BLOCK**2
 # How many times as many rows the next call has room for. A block that had no room is done again,
 # and may have many rows, as in a tower; memory that no row is written into takes none
 CAPACITY_GROWTH = 8

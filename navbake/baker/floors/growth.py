@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.core.blocks import Blocks, list_rows
+from navbake.baker.core.blocks import LEAST_BLOCKS, Blocks, list_rows
 from navbake.baker.floors import growth_kernels as kernels
 from navbake.baker.floors.growth_kernels import NO_FLOOR, GrowthState
 from navbake.baker.floors.level_assignment import LevelAssignment
@@ -88,14 +88,18 @@ def grow_levels(
     num_cells = surfaces.lattice.width * surfaces.lattice.height
     highest_level_below = np.empty(len(surfaces.z), dtype=np.int32)
     lowest_level_above = np.empty(len(surfaces.z), dtype=np.int32)
+    floor_heights = np.full((num_levels, num_cells), np.nan)
+    ring_of_cells = np.full((num_levels, num_cells), NO_FLOOR, dtype=np.int32)
     run_in_chunks(
-        kernels.bound_levels,
+        kernels.start_floors,
         num_cells,
         surfaces,
         preliminary_level,
         final_level,
         highest_level_below,
         lowest_level_above,
+        floor_heights,
+        ring_of_cells,
         min_chunk_size=LEAST_CELLS,
     )
     can_grow = np.empty(len(surfaces.z), dtype=np.uint8)
@@ -110,25 +114,27 @@ def grow_levels(
             level_number=level_number,
             agent_height=agent.height,
             max_step=agent.traversable_floor_height,
-            floor_height=np.empty(num_cells),
-            ring_of_cell=np.empty(num_cells, dtype=np.int32),
+            floor_height=floor_heights[level_number],
+            ring_of_cell=ring_of_cells[level_number],
             can_grow=can_grow,
         )
-        _grow_level(labelled_surfaces, growth_state)
+        if growth_state.ring_of_cell.any():  # some cells have no floor yet
+            _grow_level(labelled_surfaces, growth_state)
         floors.append(GrownFloor(growth_state.floor_height, growth_state.ring_of_cell))
     return floors
 
 
 def _grow_level(labelled_surfaces: LabelledSurfaces, growth_state: GrowthState) -> None:
-    """Find the floor of one level: where an agent can stand, and where it continues under things.
+    """Let the floor of one level continue under things, from where an agent can stand.
 
     Args:
         labelled_surfaces: see `grow_levels`.
-        growth_state: the level; its `floor_height`, `ring_of_cell` and `can_grow` are written.
+        growth_state: the level, with its floor where an agent can stand; its `floor_height`,
+            `ring_of_cell` and `can_grow` are written.
     """
     blocks = Blocks(growth_state.surfaces.lattice)
     _, (open_cells,) = blocks.list_rows(
-        kernels.start_growth, (NO_CELLS,), labelled_surfaces, growth_state
+        kernels.start_growth, (NO_CELLS,), labelled_surfaces, growth_state, least=LEAST_BLOCKS
     )
     cells_to_grow = open_cells
     ring_number = 1

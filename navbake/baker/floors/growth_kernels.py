@@ -41,7 +41,7 @@ class GrowthState(NamedTuple):
         final_level: for each preliminary number, the level's number when levels without surfaces
             are left out, int64.
         highest_level_below: for each surface, the highest final number of the levels of it and of
-            the lower surfaces in its cell, -1 if these have no level, int32; see `bound_levels`.
+            the lower surfaces in its cell, -1 if these have no level, int32; see `start_floors`.
         lowest_level_above: for each surface, the lowest final number of the levels of it and of the
             higher surfaces in its cell, NO_LEVEL_ABOVE if these have no level, int32.
         level_number: the final number of the level whose floor grows.
@@ -91,13 +91,22 @@ def _can_grow_at(labelled_surfaces, growth_state, end_in_cell, surface, lowest_z
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def bound_levels(
-    surfaces, preliminary_level, final_level, highest_level_below, lowest_level_above, begin, end
+def start_floors(
+    surfaces,
+    preliminary_level,
+    final_level,
+    highest_level_below,
+    lowest_level_above,
+    floor_heights,
+    ring_of_cells,
+    begin,
+    end,
 ):
-    """Find the highest level up to each surface and the lowest level from it on, in its cell.
+    """Write the floors of all levels where an agent can stand, and bound the levels of surfaces.
 
-    It is done for the cells ``[begin, end)``. Both bounds ascend in each cell, also where levels
-    don't: so they can be bisected for the surfaces near a level.
+    It is done for the cells ``[begin, end)``. The bounds are the highest level up to each surface
+    and the lowest level from it on, in its cell. Both ascend in each cell, also where levels don't:
+    so they can be bisected for the surfaces near a level.
 
     Args:
         surfaces: the surfaces of all cells, as `Surfaces`.
@@ -105,6 +114,9 @@ def bound_levels(
         final_level: the final number of the level for each preliminary number, int64.
         highest_level_below: receives the bound below each surface, see `GrowthState`.
         lowest_level_above: receives the bound above each surface, see `GrowthState`.
+        floor_heights: receives the height of each level's floor where an agent can stand, (levels,
+            cells) float64 [m].
+        ring_of_cells: receives 0 there, (levels, cells) int32.
         begin: id of the first cell.
         end: id past the last cell.
     """
@@ -114,7 +126,10 @@ def bound_levels(
         highest_level = np.int32(-1)
         for j in range(first_in_cell, end_in_cell):
             if preliminary_level[j] >= 0:
-                highest_level = max(highest_level, np.int32(final_level[preliminary_level[j]]))
+                level = final_level[preliminary_level[j]]
+                floor_heights[level, cell] = surfaces.z[j]
+                ring_of_cells[level, cell] = 0
+                highest_level = max(highest_level, np.int32(level))
             highest_level_below[j] = highest_level
         lowest_level = NO_LEVEL_ABOVE
         for j in range(end_in_cell - 1, first_in_cell - 1, -1):
@@ -125,7 +140,7 @@ def bound_levels(
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def start_growth(labelled_surfaces, growth_state, blocks, row_counts, row_arrays, begin, end):
-    """Write a level's floor where an agent can stand, and list the cells into which it may grow.
+    """List the cells without a floor of a level into which it may grow.
 
     The first ring of growth may reach the listed cells. This is done for the cells of
     ``blocks[begin:end]``. A labelled region is one that the floor doesn't grow onto, such as a roof
@@ -140,8 +155,7 @@ def start_growth(labelled_surfaces, growth_state, blocks, row_counts, row_arrays
 
     Args:
         labelled_surfaces: a `LabelledSurfaces` with the regions that the floor doesn't grow onto.
-        growth_state: a `GrowthState`, whose `floor_height`, `ring_of_cell` and `can_grow` are
-            written.
+        growth_state: a `GrowthState`, whose `ring_of_cell` and `can_grow` are written.
         blocks: ids of blocks of cells.
         row_counts: receives how many cells are listed for each block.
         row_arrays: one array that receives ids of cells, (n,) int64.
@@ -155,7 +169,6 @@ def start_growth(labelled_surfaces, growth_state, blocks, row_counts, row_arrays
     (cells,) = row_arrays
     num_cells = 0
     surfaces = growth_state.surfaces
-    floor_height = growth_state.floor_height
     ring_of_cell = growth_state.ring_of_cell
     lattice = surfaces.lattice
     can_grow = growth_state.can_grow
@@ -167,27 +180,10 @@ def start_growth(labelled_surfaces, growth_state, blocks, row_counts, row_arrays
         row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
-                first_in_cell = surfaces.first[cell]
-                end_in_cell = surfaces.end[cell]
-                floor_height[cell] = math.nan
-                ring_of_cell[cell] = NO_FLOOR
-                # the level's surfaces of the cell are in [first_on_level, stop_on_level)
-                first_surface_on_level = find_first_at_or_above(
-                    highest_level_below, first_in_cell, end_in_cell, level_number
-                )
-                end_surface_on_level = find_first_above(
-                    lowest_level_above, first_in_cell, end_in_cell, level_number
-                )
-                for j in range(first_surface_on_level, end_surface_on_level):
-                    preliminary_number = growth_state.preliminary_level[j]
-                    if (
-                        preliminary_number >= 0
-                        and growth_state.final_level[preliminary_number] == level_number
-                    ):
-                        floor_height[cell] = surfaces.z[j]
-                        ring_of_cell[cell] = 0
                 if ring_of_cell[cell] == 0:
                     continue
+                first_in_cell = surfaces.first[cell]
+                end_in_cell = surfaces.end[cell]
                 # the floor may grow between the levels below and above, with room for an agent
                 lowest_z = -math.inf
                 highest_z = math.inf

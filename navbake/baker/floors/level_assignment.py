@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.core.area_test import AreaTest, is_large_enough, make_area_test
 from navbake.baker.core.arrays import HeightRange
-from navbake.baker.core.blocks import Blocks
-from navbake.baker.core.tiles import BLOCK
+from navbake.baker.core.blocks import LEAST_BLOCKS, Blocks
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors import level_kernels as kernels
 from navbake.baker.floors.component_kernels import HEIGHT_BIN, JoinRule, cross_tabulate
@@ -54,7 +53,7 @@ from navbake.baker.floors.regions import (
 )
 from navbake.baker.floors.surface_kernels import Surfaces
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
-from navbake.threads import LEAST_CELLS, run_in_chunks
+from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
 # Floors up to this far below the ground of a configured level still belong to the level [m]
@@ -521,7 +520,7 @@ def _count_heights(
         candidates,
         selection,
         area_test,
-        least=LEAST_CELLS // BLOCK**2,
+        least=LEAST_BLOCKS,
     )
     return HeightHistogram(
         band=histogram_rows[:, 0],

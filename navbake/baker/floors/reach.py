@@ -337,21 +337,27 @@ def _describe_on_levels(
         preliminary_level >= 0, final_level * regions.num_regions + region, -1
     )
     sort_indices = np.argsort(pair_of_surface, kind="stable")
-    first_index_of_pair = np.searchsorted(pair_of_surface[sort_indices], pair_ids, side="left")
-    end_index_of_pair = np.searchsorted(pair_of_surface[sort_indices], pair_ids, side="right")
-    # number of a level -> for each region of a pair, the indices of its surfaces on the level
-    indices_on_level: dict[int, list[Int]] = {}
+    pair_of_surface = pair_of_surface[sort_indices]
+    surfaces = surfaces.select(sort_indices)
+    first_index_of_pair = np.searchsorted(pair_of_surface, pair_ids, side="left").tolist()
+    end_index_of_pair = np.searchsorted(pair_of_surface, pair_ids, side="right").tolist()
+    # number of a level -> for each region of a pair, its surfaces on the level
+    surfaces_on_level: dict[int, list[RegionSurfaces]] = {}
     for pair_id, first_index, end_index in zip(
         pair_ids.tolist(), first_index_of_pair, end_index_of_pair, strict=True
     ):
-        indices_on_level.setdefault(pair_id // regions.num_regions, []).append(
-            sort_indices[first_index:end_index]
+        surfaces_on_level.setdefault(pair_id // regions.num_regions, []).append(
+            surfaces.select(slice(first_index, end_index))
         )
     lattice = regions.lattice
     patches = {}
-    for level_number, indices_by_region in indices_on_level.items():
-        largest_surfaces = surfaces.select(max(indices_by_region, key=len))
-        level_surfaces = surfaces.select(np.concatenate(indices_by_region))
+    for level_number, level_surfaces_by_region in surfaces_on_level.items():
+        largest_surfaces = max(level_surfaces_by_region, key=lambda surfaces: len(surfaces.cell))
+        level_surfaces = largest_surfaces
+        if len(level_surfaces_by_region) > 1:
+            level_surfaces = RegionSurfaces._make(
+                map(np.concatenate, zip(*level_surfaces_by_region, strict=True))
+            )
         row, col = np.divmod(largest_surfaces.cell, lattice.width)
         patches[level_number] = Patch(
             geom=int(np.bincount(level_surfaces.geom).argmax()),

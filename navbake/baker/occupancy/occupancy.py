@@ -9,6 +9,7 @@ lists the geoms over their floors: first of structure, then of movables, see
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -361,23 +362,36 @@ def check_level_occupancy(
     occupancy = check_occupancy(
         columns, tiled_shapes, footprint, floor_cells, floor_heights, occupant_lists
     )
+    # sorted level by level, at once, and then divided
+    level_of_floor, cell_index = np.nonzero(has_floor.T)
+    floors_by_level = floor_index[cell_index, level_of_floor]
+    level_cells = cells[cell_index]
+    occupied = occupancy.occupied[floors_by_level]
+    square_occupied = occupancy.square_occupied[floors_by_level]
+    if wall_candidates is not None:
+        occupant_lists = occupant_lists._replace(
+            ceiling=occupant_lists.ceiling[floors_by_level],
+            list_start=occupant_lists.list_start[floors_by_level],
+            floor_geom=occupant_lists.floor_geom[floors_by_level],
+            gap_below=occupant_lists.gap_below[floors_by_level],
+        )
+    first_floor_of_level = np.searchsorted(level_of_floor, np.arange(len(floors.levels) + 1))
     occupancy_by_level = []
-    for has_level_floor, level_floor_index in zip(has_floor.T, floor_index.T, strict=True):
-        floor_indices = level_floor_index[has_level_floor]
+    for first_floor, end_floor in pairwise(first_floor_of_level.tolist()):
+        level_floors = slice(first_floor, end_floor)
         level_lists = occupant_lists
         if wall_candidates is not None:
             level_lists = occupant_lists._replace(
-                ceiling=occupant_lists.ceiling[floor_indices],
-                list_start=occupant_lists.list_start[floor_indices],
-                floor_geom=occupant_lists.floor_geom[floor_indices],
-                gap_below=occupant_lists.gap_below[floor_indices],
+                ceiling=occupant_lists.ceiling[level_floors],
+                list_start=occupant_lists.list_start[level_floors],
+                floor_geom=occupant_lists.floor_geom[level_floors],
+                gap_below=occupant_lists.gap_below[level_floors],
             )
         cell_occupancy = occupancy._replace(
-            occupied=occupancy.occupied[floor_indices],
-            square_occupied=occupancy.square_occupied[floor_indices],
+            occupied=occupied[level_floors], square_occupied=square_occupied[level_floors]
         )
         occupancy_by_level.append(
-            LevelOccupancy(cells[has_level_floor], cell_occupancy, level_lists)
+            LevelOccupancy(level_cells[level_floors], cell_occupancy, level_lists)
         )
     return occupancy_by_level
 

@@ -104,6 +104,13 @@ def name_cells(
         sorted names by key. An entry has no ``blockers`` if they are the same names as its objects
         and walls together.
     """
+    has_bits = key_bits > 0
+    if not has_bits.any():
+        no_cells = np.empty(0, dtype=np.int64)
+        return no_cells, no_cells, []
+    cells = cells[has_bits]
+    geoms = geoms[has_bits]
+    key_bits = key_bits[has_bits]
     # names are numbered by their first geoms, so that they keep the order of the scene's geoms;
     # only the names of the level's own geoms are
     level_geoms, geom_index = np.unique(geoms, return_inverse=True)
@@ -138,22 +145,19 @@ def _merge_pairs(
 ) -> tuple[Int, Int, Int]:
     """Merge all entries that have the same cell and the same name.
 
-    An entry is a geom in a cell. Entries without any bit are dropped.
+    An entry is a geom in a cell.
 
     Args:
         cells: the cell of each entry, (n,).
         name_numbers: the number of the geom's name, for each entry, (n,).
-        key_bits: the bits OBJECTS, WALLS and BLOCKERS of the geom in the cell, (n,).
+        key_bits: the bits OBJECTS, WALLS and BLOCKERS of the geom in the cell, at least one of
+            them, (n,).
         num_names: the number of names; all of `name_numbers` are below it.
 
     Returns:
         Cells and numbers of names of the unique pairs, sorted by cell and then name; and the bits
         that any entry of the pair has.
     """
-    has_bits = key_bits > 0
-    cells = cells[has_bits]
-    name_numbers = name_numbers[has_bits]
-    key_bits = key_bits[has_bits]
     pair_key = cells * num_names + name_numbers
     if (np.diff(pair_key) < 0).any():
         sort_indices = np.argsort(pair_key, kind="stable")
@@ -162,11 +166,7 @@ def _merge_pairs(
         name_numbers = name_numbers[sort_indices]
         key_bits = key_bits[sort_indices]
     first_index_of_pair = np.flatnonzero(np.diff(pair_key, prepend=-1))
-    merged_bits = (
-        np.bitwise_or.reduceat(key_bits, first_index_of_pair)
-        if len(first_index_of_pair)
-        else key_bits
-    )
+    merged_bits = np.bitwise_or.reduceat(key_bits, first_index_of_pair)
     return cells[first_index_of_pair], name_numbers[first_index_of_pair], merged_bits
 
 

@@ -18,8 +18,8 @@ COLUMN_FLAGS = (EMPTY, HOLE, STEEP_GROUND, SKY, TALL)
 
 
 @kernel(nogil=True)
-def flag_columns(hits, floor, ground, limits, min_tall_height, flags, first_cell, end_cell):
-    """Write the `COLUMN_FLAGS` of the cells ``range(first_cell, end_cell)`` of a level.
+def flag_columns(hits, floors, grounds, limits, min_tall_height, flags, first_cell, end_cell):
+    """Write the `COLUMN_FLAGS` of the cells ``range(first_cell, end_cell)`` of all levels.
 
     A cell without a floor is a HOLE if nothing is in the way of the agent's body there. Only
     surfaces more than a step above the level's ground count. The cell is a hole if there is none,
@@ -32,11 +32,11 @@ def flag_columns(hits, floor, ground, limits, min_tall_height, flags, first_cell
     Args:
         hits: hits of structure on the vertical line through the centre of each cell, as
             `ColumnHits`; line i belongs to cell i.
-        floor: z of each cell's floor, float64, NaN for none [m].
-        ground: z of the level's ground [m].
+        floors: z of each cell's floor on each level, (levels, cells) float64, NaN for none [m].
+        grounds: z of each level's ground, (levels,) [m].
         limits: the agent's highest step, headroom and largest slope, as `AgentLimits`.
         min_tall_height: the height above the floor from which on something is TALL [m].
-        flags: receives the flags of each cell, uint8.
+        flags: receives the flags of each cell on each level, (levels, cells) uint8.
         first_cell: id of the first cell.
         end_cell: id after the last cell.
     """
@@ -45,24 +45,30 @@ def flag_columns(hits, floor, ground, limits, min_tall_height, flags, first_cell
     normal = hits.normal
     min_normal_z = np.float32(limits.min_normal_z)
     for cell in range(first_cell, end_cell):
-        hit = start[cell]
         end_hit = start[cell + 1]
-        has_floor = not np.isnan(floor[cell])
-        cell_flags = 0 if hit < end_hit else EMPTY
-        top_height = z[end_hit - 1] if hit < end_hit else np.inf
-        top_normal_z = normal[end_hit - 1, 2] if hit < end_hit else np.float32(0.0)
-        # the first surface that is neither the floor nor within a step of the ground
-        lowest_counted_z = floor[cell] + SAME_HEIGHT if has_floor else ground + limits.max_step
-        hit = find_first_above(z, hit, end_hit, lowest_counted_z)
-        hit_faces_up = hit < end_hit and normal[hit, 2] > 0.0
-        if has_floor:
-            if top_height <= floor[cell] + limits.headroom + LIMIT_SLACK:
-                cell_flags |= SKY
-            if hit_faces_up and z[hit] > floor[cell] + min_tall_height:
-                cell_flags |= TALL
-        else:
-            if top_normal_z > 0.0 and top_normal_z < min_normal_z:
-                cell_flags |= STEEP_GROUND
-            if not hit_faces_up and (hit == end_hit or z[hit] > ground + limits.headroom):
-                cell_flags |= HOLE
-        flags[cell] = cell_flags
+        is_empty = start[cell] == end_hit
+        top_height = np.inf if is_empty else z[end_hit - 1]
+        top_normal_z = np.float32(0.0) if is_empty else normal[end_hit - 1, 2]
+        for level in range(floors.shape[0]):
+            floor = floors[level, cell]
+            has_floor = not np.isnan(floor)
+            cell_flags = EMPTY if is_empty else 0
+            # the first surface that is neither the floor nor within a step of the ground
+            lowest_counted_z = (
+                floor + SAME_HEIGHT if has_floor else grounds[level] + limits.max_step
+            )
+            hit = find_first_above(z, start[cell], end_hit, lowest_counted_z)
+            hit_faces_up = hit < end_hit and normal[hit, 2] > 0.0
+            if has_floor:
+                if top_height <= floor + limits.headroom + LIMIT_SLACK:
+                    cell_flags |= SKY
+                if hit_faces_up and z[hit] > floor + min_tall_height:
+                    cell_flags |= TALL
+            else:
+                if top_normal_z > 0.0 and top_normal_z < min_normal_z:
+                    cell_flags |= STEEP_GROUND
+                if not hit_faces_up and (
+                    hit == end_hit or z[hit] > grounds[level] + limits.headroom
+                ):
+                    cell_flags |= HOLE
+            flags[level, cell] = cell_flags

@@ -5,6 +5,8 @@ A cell can be empty, a hole, steep ground, under the sky, or hold something tall
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,31 +20,31 @@ from navbake.threads import LEAST_CELLS, run_in_chunks
 
 
 def flag_columns(
-    hits: ColumnHits,
-    level: LevelFloor,
-    cells: slice,
-    agent: AgentSettings,
-    flags: NDArray[np.uint8],
-) -> None:
-    """Write the `COLUMN_FLAGS` of some cells of a level, which the search for rooms reads.
+    hits: ColumnHits, levels: Sequence[LevelFloor], cells: slice, agent: AgentSettings
+) -> NDArray[np.uint8]:
+    """Find the `COLUMN_FLAGS` of some cells on all levels, which the search for rooms reads.
 
     Args:
         hits: hits of structure on the vertical lines of these cells only, in the cells' order.
-        level: the floor of each cell, and the height of the ground.
+        levels: for each level, the floor of each cell, and the height of the ground.
         cells: the range of cell ids.
         agent: the agent; its height, highest step and largest slope are read.
-        flags: receives the bits `COLUMN_FLAGS` (empty, a hole, steep, under the sky, something
-            tall) of these cells, indexed by cell id on the whole lattice, uint8.
+
+    Returns:
+        The bits `COLUMN_FLAGS` (empty, a hole, steep, under the sky, something tall) of these cells
+        on each level, shape (levels, cells), uint8.
     """
-    floor = level.floor.ravel()[cells]
+    floors = np.stack([level.floor.reshape(-1)[cells] for level in levels])
+    flags = np.empty(floors.shape, dtype=np.uint8)
     run_in_chunks(
         kernels.flag_columns,
-        len(floor),
+        floors.shape[1],
         hits,
-        floor,
-        level.ground,
+        floors,
+        np.array([level.ground for level in levels]),
         make_agent_limits(agent),
         WALL_HEIGHTS.low,
-        flags[cells],
-        min_chunk_size=LEAST_CELLS,
+        flags,
+        min_chunk_size=-(-LEAST_CELLS // len(levels)),
     )
+    return flags

@@ -48,6 +48,25 @@ ROWS_PER_CHUNK = 16
 MAX_SHARE_OF_SINGLE_CELLS = 1 / 8
 
 
+def _make_key_bits() -> Int:
+    """Make the table of the keys under which structure is listed in the user data of a cell.
+
+    Returns:
+        The bits OBJECTS, WALLS and BLOCKERS, by the kind of a geom and by its flags in the cell,
+        shape (kinds, 256).
+    """
+    kind, flags = np.ogrid[: BUILDING + 1, :256]
+    is_occupying = (flags & OCCUPYING) > 0
+    is_wall = (kind == WALL) | ((kind == BUILDING) & ((flags & AT_WALL_HEIGHT) > 0))
+    key_bits = np.where(flags & BLOCKING, BLOCKERS, 0)
+    key_bits = key_bits | np.where(is_occupying & is_wall, WALLS, 0)
+    key_bits |= np.where(is_occupying & (kind == OBJECT), OBJECTS, 0)
+    return np.asarray(key_bits, dtype=np.int64)
+
+
+KEY_BITS = _make_key_bits()
+
+
 class OccupantEntries(NamedTuple):
     """Pairs of a cell and a geom in it, ordered by cell and then geom; arrays of shape (n,).
 
@@ -433,12 +452,7 @@ def _name_cells(
     occupied_cells, occupant_geoms, flags = select_list_entries(
         occupants.list_start, occupants.geom, occupants.flags, all_cells
     )
-    geom_kinds = standing.kinds[occupant_geoms]
-    is_occupying = (flags & OCCUPYING) > 0
-    is_wall = (geom_kinds == WALL) | ((geom_kinds == BUILDING) & ((flags & AT_WALL_HEIGHT) > 0))
-    key_bits = np.where(flags & BLOCKING, BLOCKERS, 0)
-    key_bits |= np.where(is_occupying & is_wall, WALLS, 0)
-    key_bits |= np.where(is_occupying & (geom_kinds == OBJECT), OBJECTS, 0)
+    key_bits = KEY_BITS[standing.kinds[occupant_geoms], flags]
 
     # things that are the floor of a cell
     floor_cells = np.flatnonzero(occupants.floor_geom >= 0)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.columns.columns import ColumnSource, ShapeSource
-from navbake.baker.core.blocks import Blocks, list_rows
+from navbake.baker.core.blocks import LEAST_BLOCKS, Blocks, list_rows
 from navbake.baker.core.clock import StageClock
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.levels import Floors
@@ -141,7 +141,7 @@ def find_standing_cells(
     blocked_square_masks = None
     if footprint.radius > 0.0:
         blocked_square_masks = [mask.copy() for mask in occupied_masks]
-    column_flags = [np.zeros(num_cells, dtype=np.uint8) for _ in floors.levels]
+    column_flags = [np.empty(num_cells, dtype=np.uint8) for _ in floors.levels]
     occupants_builder = None
     if wall_candidates is not None:
         occupants_builder = OccupantsBuilder(lattice, len(floors.levels))
@@ -170,10 +170,9 @@ def find_standing_cells(
             occupants_builder.append(occupancy_by_level, end_cell / num_cells)
         with clock.add_to_stage("rooms"):
             hits = chunk.hits._replace(start=chunk.start[first_cell : end_cell + 1])
-            for level_number, level in enumerate(floors.levels):
-                flag_columns(
-                    hits, level, slice(first_cell, end_cell), agent, column_flags[level_number]
-                )
+            chunk_flags = flag_columns(hits, floors.levels, slice(first_cell, end_cell), agent)
+            for level_flags, level_chunk_flags in zip(column_flags, chunk_flags, strict=True):
+                level_flags[first_cell:end_cell] = level_chunk_flags
     return StandingCells(
         occupancy=StructureOccupancy(occupied_masks, blocked_square_masks),
         occupants=[] if occupants_builder is None else occupants_builder.occupants,
@@ -326,7 +325,13 @@ def _measure_levels(
     for occupants, level in zip(levels, floors.levels, strict=True):
         floor_layers = FloorLayers(level.floor.ravel(), level.standable.ravel())
         _, (block_counts, block_heights) = list_rows(
-            kernels.measure_blocks, blocks, NO_ROWS, occupants, floor_layers, geom_heights
+            kernels.measure_blocks,
+            blocks,
+            NO_ROWS,
+            occupants,
+            floor_layers,
+            geom_heights,
+            least=LEAST_BLOCKS,
         )
         row_geoms = block_counts[:, kernels.GEOM]
         # counted for the level's own geoms alone, which are few of a tower's
