@@ -28,8 +28,8 @@ STACKED = 2  # in a cell, the first lies above the second one, with no other com
 # in the same bin are added up. Also the largest difference in height of adjacent surfaces of one
 # plateau, which is a tread, a landing or a piece of a ramp [m]
 HEIGHT_BIN = 0.02
-# `count_row` looks for three numbers only in this many of the latest rows. If they stand in an
-# older row, they get another row
+# `count_row` looks for three numbers only in a likely row, and in this many of the latest rows. If
+# they stand in another row, they get one more
 NUM_RECENT_ROWS = 8
 # The key of a surface is cell * MAX_RANK + rank, where rank counts the labelled surfaces of the
 # cell from the lowest, 0
@@ -85,16 +85,19 @@ class ComponentNumbering(NamedTuple):
 
 
 @subkernel(**NO_REFCOUNT)
-def count_row(rows, first_row, num_rows, first_number, second_number, third_number):
+def count_row(rows, first_row, num_rows, likely_row, first_number, second_number, third_number):
     """Count one more occurrence of three numbers, such as two components and the kind of pair.
 
-    The count stands in the row that begins with these numbers. If none of the latest
-    NUM_RECENT_ROWS rows does, a row is appended.
+    The count stands in the row that begins with these numbers. If neither the likely row nor any of
+    the latest NUM_RECENT_ROWS rows does, a row is appended.
 
     Args:
         rows: three numbers and their count in each row, (n, 4) int64.
         first_row: index of the first row of the current block of cells.
         num_rows: index past the last row written so far.
+        likely_row: index of the row that is looked at first. In a tower, most columns count the
+            same numbers in the same order: the row after that of the last count in the column, or
+            else the first row of the column before.
         first_number: the first of the three numbers.
         second_number: the second number.
         third_number: the third number.
@@ -102,6 +105,14 @@ def count_row(rows, first_row, num_rows, first_number, second_number, third_numb
     Returns:
         The index of the row with the count, or -1 if there is no room for another row.
     """
+    if (
+        first_row <= likely_row < num_rows
+        and rows[likely_row, 0] == first_number
+        and rows[likely_row, 1] == second_number
+        and rows[likely_row, 2] == third_number
+    ):
+        rows[likely_row, 3] += 1
+        return np.int64(likely_row)
     for row in range(num_rows - 1, max(first_row, num_rows - NUM_RECENT_ROWS) - 1, -1):
         if (
             rows[row, 0] == first_number
@@ -353,10 +364,15 @@ def list_pairs(
     overall_number = numbering.overall_number
     for block_index in range(begin, end):
         num_rows_before = num_rows
+        first_stacked_row = num_rows  # of the last column with such a pair
+        first_eastern_row = num_rows
+        first_southern_row = num_rows
         row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
         for row in range(row0, row1):
             for col in range(col0, col1):
                 cell = row * width + col
+                likely_row = first_stacked_row
+                has_counted = False
                 number_below = np.int32(-1)
                 for surface in range(first_surface[cell], end_surface[cell]):
                     overall_number[surface] = -1
@@ -370,12 +386,17 @@ def list_pairs(
                             rows,
                             num_rows_before,
                             num_rows,
+                            likely_row,
                             overall_number[surface],
                             number_below,
                             STACKED,
                         )
                         if row_index < 0:
                             return block_index
+                        if not has_counted:
+                            first_stacked_row = row_index
+                        has_counted = True
+                        likely_row = row_index + 1
                         num_rows = max(num_rows, row_index + 1)
                     number_below = overall_number[surface]
                 for direction in range(2):
@@ -389,6 +410,8 @@ def list_pairs(
                     first_neighbor_number = first_number_of_block[neighbor_block]
                     first_near_surface = first_surface[neighbor]
                     end_in_neighbor = end_surface[neighbor]
+                    likely_row = first_eastern_row if direction == EAST else first_southern_row
+                    has_counted = False
                     for surface in range(first_surface[cell], end_surface[cell]):
                         if number_in_block[surface] < 0:
                             continue
@@ -431,12 +454,19 @@ def list_pairs(
                                 rows,
                                 num_rows_before,
                                 num_rows,
+                                likely_row,
                                 overall_number[surface],
                                 neighbor_number,
                                 pair_kind,
                             )
                             if row_index < 0:
                                 return block_index
+                            if not has_counted and direction == EAST:
+                                first_eastern_row = row_index
+                            elif not has_counted:
+                                first_southern_row = row_index
+                            has_counted = True
+                            likely_row = row_index + 1
                             num_rows = max(num_rows, row_index + 1)
         row_counts[block_index] = num_rows - num_rows_before
     return end
@@ -482,9 +512,12 @@ def cross_tabulate(
     lattice = surfaces.lattice
     for block_index in range(begin, end):
         num_rows_before = num_rows
+        first_row_of_column = num_rows  # of the last column with any count
         row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
+                likely_row = first_row_of_column
+                has_counted = False
                 for j in range(surfaces.first[cell], surfaces.end[cell]):
                     if label_of_surface[j] < 0 or (
                         level_of_surface.shape[0] > 0 and level_of_surface[j] == -1
@@ -500,12 +533,17 @@ def cross_tabulate(
                         rows,
                         num_rows_before,
                         num_rows,
+                        likely_row,
                         label_of_surface[j],
                         second_label_of_surface[j],
                         level_or_bin,
                     )
                     if row_index < 0:
                         return block_index
+                    if not has_counted:
+                        first_row_of_column = row_index
+                    has_counted = True
+                    likely_row = row_index + 1
                     lowest_z[row_index] = min(lowest_z[row_index], z) if row_index < num_rows else z
                     num_rows = max(num_rows, row_index + 1)
         row_counts[block_index] = num_rows - num_rows_before

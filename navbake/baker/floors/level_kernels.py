@@ -214,7 +214,9 @@ def _count_block(surfaces, candidates, selection, area_test, block, masks, row_a
                     if is_marking:
                         counted_mask[row - row0 + radius, col - col0 + radius] = 1
                         continue
-                    row_index = count_row(rows, num_rows_before, num_rows, band, height_bin(z), 0)
+                    row_index = count_row(
+                        rows, num_rows_before, num_rows, num_rows - 1, band, height_bin(z), 0
+                    )
                     if row_index < 0:
                         return row_index
                     lowest_z[row_index] = min(lowest_z[row_index], z) if row_index < num_rows else z
@@ -350,9 +352,12 @@ def assign_surfaces_to_levels(
     lattice = surfaces.lattice
     for block_index in range(begin, end):
         num_rows_before = num_rows
+        first_row_of_column = num_rows  # of the last column with any count
         row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
         for row in range(row0, row1):
             for cell in range(row * lattice.width + col0, row * lattice.width + col1):
+                likely_row = first_row_of_column
+                has_counted = False
                 num_candidates_to_separate = _assign_base_levels(
                     surfaces, candidates, rule, cell, level_of_surface
                 )
@@ -372,12 +377,17 @@ def assign_surfaces_to_levels(
                         rows,
                         num_rows_before,
                         num_rows,
+                        likely_row,
                         component_of_surface[j],
                         0,
                         level_of_surface[j],
                     )
                     if row_index < 0:
                         return block_index
+                    if not has_counted:
+                        first_row_of_column = row_index
+                    has_counted = True
+                    likely_row = row_index + 1
                     z = surfaces.z[j]
                     lowest_z[row_index] = min(lowest_z[row_index], z) if row_index < num_rows else z
                     num_rows = max(num_rows, row_index + 1)

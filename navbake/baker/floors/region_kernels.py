@@ -135,6 +135,25 @@ def region_of_surface(labelled_surfaces, surface):
 
 
 @subkernel(inline="always")
+def surface_of_same_rank(surfaces, surface, cell, neighbor):
+    """Return the surface of a neighbor with as many surfaces below it as a surface of a cell has.
+
+    In a tower, the two are mostly on one floor, so that no other surface has to be looked at.
+
+    Args:
+        surfaces: the surfaces of all cells, as `Surfaces`.
+        surface: the id of a surface.
+        cell: the id of its cell.
+        neighbor: the id of a neighbor of the cell.
+
+    Returns:
+        The id of the surface, -1 for none.
+    """
+    likely_surface = np.int64(surface) - surfaces.first[cell] + surfaces.first[neighbor]
+    return likely_surface if likely_surface < surfaces.end[neighbor] else np.int64(-1)
+
+
+@subkernel(inline="always")
 def _find_surface_below(labelled_surfaces, row, col, excluded_region, height_limit):
     """Return the id of the highest surface in a cell that lies below the height `height_limit` [m].
 
@@ -309,6 +328,13 @@ def list_edges(
                     for direction in range(4):
                         neighbor_row, neighbor_col = _step_to(surfaces.lattice, row, col, direction)
                         if neighbor_row >= 0:
+                            neighbor = neighbor_row * surfaces.lattice.width + neighbor_col
+                            likely_surface = surface_of_same_rank(surfaces, j, cell, neighbor)
+                            if (
+                                likely_surface >= 0
+                                and region_of_surface(labelled_surfaces, likely_surface) == region
+                            ):
+                                continue
                             surface_below = _find_surface_below(
                                 labelled_surfaces, neighbor_row, neighbor_col, region, height_limit
                             )

@@ -10,7 +10,7 @@ from navbake.baker.core.bisection_kernels import find_first_at_or_above
 from navbake.baker.core.tiles import block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.component_kernels import max_rise_of
-from navbake.baker.floors.region_kernels import region_of_surface
+from navbake.baker.floors.region_kernels import region_of_surface, surface_of_same_rank
 from navbake.baker.floors.surface_kernels import EAST, SOUTH, STANDABLE, are_joined_by_slopes
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
@@ -67,6 +67,34 @@ def _find_joined_surface(surfaces, rule, surface, cell, axis, sign):
     return nearest_surface
 
 
+@subkernel(inline="always")
+def _is_likely_joined(surfaces, rule, surface, row, cell, axis):
+    """Return whether a step joins a surface to the one of the same rank in the next cell.
+
+    If not, other surfaces of the next cell may still be joined to it, see `_find_joined_surface`.
+
+    Args:
+        surfaces: the surfaces of all cells, as `Surfaces`.
+        rule: a `JoinRule`: the limits within which surfaces are connected, or else linked.
+        surface: the id of a surface.
+        row: the row of its cell.
+        cell: the id of its cell.
+        axis: EAST or SOUTH.
+    """
+    lattice = surfaces.lattice
+    if axis == EAST and cell + 1 == (row + 1) * lattice.width:
+        return False
+    if axis == SOUTH and row + 1 == lattice.height:
+        return False
+    neighbor = cell + (1 if axis == EAST else lattice.width)
+    likely_surface = surface_of_same_rank(surfaces, surface, cell, neighbor)
+    return (
+        likely_surface >= 0
+        and surfaces.flags[likely_surface] & STANDABLE != 0
+        and abs(surfaces.z[likely_surface] - surfaces.z[surface]) <= rule.max_step + LIMIT_SLACK
+    )
+
+
 @kernel(nogil=True, **NO_REFCOUNT)
 def list_narrow_runs(
     labelled_surfaces, rule, max_cells, blocks, row_counts, row_arrays, begin, end
@@ -106,6 +134,8 @@ def list_narrow_runs(
                     if region_of_surface(labelled_surfaces, j) < 0:
                         continue
                     for axis in range(SOUTH + 1):
+                        if _is_likely_joined(surfaces, rule, j, row, cell, axis):
+                            continue
                         if _find_joined_surface(surfaces, rule, j, cell, axis, 1) >= 0:
                             continue
                         cell_stride = 1 if axis == EAST else width
