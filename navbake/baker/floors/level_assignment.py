@@ -64,7 +64,7 @@ UNEVENNESS = 0.005
 # With more than MANY_LEVELS levels, the next ground is first searched for up to this height above
 # the last one, as levels are rarely higher; this saves time in towers [m]
 USUAL_LEVEL_HEIGHT = 4.0
-MANY_LEVELS = 4
+MANY_LEVELS = 2
 # A tread, a landing or a piece of a ramp belongs to a stair if the floors that it leads to, up and
 # down, each have more than this many times its own floor's area, see `_find_stairs`
 STAIR_AREA_RATIO = 4

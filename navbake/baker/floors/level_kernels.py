@@ -183,6 +183,7 @@ def _count_block(surfaces, candidates, selection, area_test, block, masks, row_a
     lattice = surfaces.lattice
     row0, row1, col0, col1 = block_window(lattice, block)
     counted_mask, is_remaining = masks
+    first_row_of_column = num_rows  # of the last column with any count
     # the first pass marks the cells with a counted surface, also in the margin; then they are
     # shrunk; the second pass counts the surfaces of the remaining cells
     for is_marking in (True, False):
@@ -195,6 +196,8 @@ def _count_block(surfaces, candidates, selection, area_test, block, masks, row_a
             for col in range(max(col0 - margin, 0), min(col1 + margin, lattice.width)):
                 if not is_marking and radius > 0 and not is_remaining[row - row0, col - col0]:
                     continue
+                likely_row = first_row_of_column
+                has_counted = False
                 is_lowest = True
                 cell = row * lattice.width + col
                 end_in_cell = surfaces.end[cell]
@@ -215,10 +218,14 @@ def _count_block(surfaces, candidates, selection, area_test, block, masks, row_a
                         counted_mask[row - row0 + radius, col - col0 + radius] = 1
                         continue
                     row_index = count_row(
-                        rows, num_rows_before, num_rows, num_rows - 1, band, height_bin(z), 0
+                        rows, num_rows_before, num_rows, likely_row, band, height_bin(z), 0
                     )
                     if row_index < 0:
                         return row_index
+                    if not has_counted:
+                        first_row_of_column = row_index
+                    has_counted = True
+                    likely_row = row_index + 1
                     lowest_z[row_index] = min(lowest_z[row_index], z) if row_index < num_rows else z
                     num_rows = max(num_rows, row_index + 1)
     return num_rows
