@@ -383,7 +383,7 @@ for one in KERNELS:
         called[f'{one.__module__}.{one.__name__}'] = types, types * size
 print(json.dumps(called))
 """
-# That a bake loads: each costs 1 ms, and 0.04 ms for each KB. `bound_levels` and the bisection of
+# That a bake loads: each costs 1 ms, and 0.04 ms for each KB. `start_floors` and the bisection of
 # columns need 160 KB: without them, a tower's bake takes a time that grows with its levels' square
 MOST, MOST_BYTES = 34, 3_500_000
 

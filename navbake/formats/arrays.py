@@ -171,19 +171,27 @@ def encode_array(array: NDArray[Any], place: JsonPath) -> bytes:
     if array.dtype.name not in DATATYPES:
         place.fail(f"expected a dtype of {', '.join(DATATYPES)}, got {array.dtype}")
     cells = array.reshape(-1)
-    run_start_chunks = [np.zeros(1, np.int64)]  # of runs
-    for chunk_start in range(1, len(cells), CHUNK_LENGTH):
-        chunk = _normalize_values(cells[chunk_start - 1 : chunk_start + CHUNK_LENGTH])
-        is_run_start = chunk[1:] != chunk[:-1]
+    run_start_chunks = []
+    run_value_chunks = []
+    for chunk_start in range(0, len(cells), CHUNK_LENGTH):
+        # with the last cell of the chunk before
+        first_cell = max(chunk_start - 1, 0)
+        chunk = _normalize_values(cells[first_cell : chunk_start + CHUNK_LENGTH])
+        is_run_start = np.empty(len(chunk), dtype=np.bool_)
+        is_run_start[0] = chunk_start == 0
+        np.not_equal(chunk[1:], chunk[:-1], out=is_run_start[1:])
         if chunk.dtype.kind == "f":
-            is_run_start &= ~(np.isnan(chunk[1:]) & np.isnan(chunk[:-1]))
-        run_start_chunks.append(np.flatnonzero(is_run_start) + chunk_start)
-    run_starts = np.concatenate(run_start_chunks)
-    run_lengths = np.diff(run_starts, append=len(cells))
+            is_run_start[1:] &= ~(np.isnan(chunk[1:]) & np.isnan(chunk[:-1]))
+        run_indices = is_run_start.nonzero()[0]
+        run_start_chunks.append(run_indices + first_cell)
+        run_value_chunks.append(chunk[run_indices])
+    run_bounds = np.concatenate([*run_start_chunks, [len(cells)]])
+    run_lengths = run_bounds[1:] - run_bounds[:-1]
+    run_values = np.concatenate(run_value_chunks)
 
     chunk_texts = []
-    for chunk_start in range(0, len(run_starts), CHUNK_LENGTH):
-        values = _normalize_values(cells[run_starts[chunk_start : chunk_start + CHUNK_LENGTH]])
+    for chunk_start in range(0, len(run_values), CHUNK_LENGTH):
+        values = run_values[chunk_start : chunk_start + CHUNK_LENGTH]
         counts = run_lengths[chunk_start : chunk_start + CHUNK_LENGTH]
         if values.dtype.kind == "f":
             number_texts = [b""] * (2 * len(counts))
@@ -191,7 +199,9 @@ def encode_array(array: NDArray[Any], place: JsonPath) -> bytes:
             number_texts[1::2] = _dump_numbers(counts).split(b",")
             chunk_texts.append(b",".join(number_texts).replace(b".0,", b","))
         else:
-            pairs = np.stack([values.astype(np.int64), counts], axis=1)
+            pairs = np.empty((len(values), 2), dtype=np.int64)
+            pairs[:, 0] = values
+            pairs[:, 1] = counts
             chunk_texts.append(_dump_numbers(pairs.ravel()))
     return b"[%b]" % b",".join(chunk_texts)
 

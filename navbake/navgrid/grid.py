@@ -32,7 +32,7 @@ from navbake.navgrid.links import (
     parse_links,
     parse_steps,
 )
-from navbake.navgrid.metadata import cut_metadata, describe_attributes
+from navbake.navgrid.metadata import describe_attributes, split_metadata
 from navbake.navgrid.obstacle_state import BLOCKED, CHANGING_ATTRIBUTES, OCCUPIED, ObstacleState
 from navbake.navgrid.rooms import Door, Room, measure_rooms, parse_doors, parse_rooms
 from navbake.navgrid.user_data import Box, UserData, parse_boxes
@@ -644,11 +644,14 @@ class MultiLevelGrid(GridBase):
     def __post_init__(self) -> None:
         if not self.grids:
             raise FormatError("a MultiLevelGrid has at least one level, got none")
-        for level_number, level in enumerate(self.grids):
+        num_levels = len(self.grids)
+        for level, level_metadata in zip(
+            self.grids, split_metadata(self.metadata, num_levels), strict=True
+        ):
             if not level.metadata or level.metadata == self.metadata:
-                level.metadata = cut_metadata(self.metadata, level_number)
-            # another copy, to compare with the metadata of the level, which callers may change
-            self._inherited_metadata.append(cut_metadata(self.metadata, level_number))
+                level.metadata = level_metadata
+        # other copies, to compare with the metadata of levels, which callers may change
+        self._inherited_metadata.extend(split_metadata(self.metadata, num_levels))
 
     @property
     def levels(self) -> list[SceneGrid2D]:

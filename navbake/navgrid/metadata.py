@@ -107,25 +107,34 @@ def to_entry(record: DataclassInstance, *left_out_fields: str) -> Json:
     return entry
 
 
-def cut_metadata(metadata: Json, level: int) -> Json:
-    """Return a copy of a grid's metadata for one level, as level 0 of a grid of its own.
+def split_metadata(metadata: Json, num_levels: int) -> list[Json]:
+    """Divide a grid's metadata among its levels, each as level 0 of a grid of its own.
 
-    The copy lacks the rooms, doors, neighbours and links of other levels. Broken tables are copied
-    unchanged; reading them raises the error.
+    Each level's metadata are a copy without the rooms, doors, neighbours and links of other levels.
+    Broken tables are copied unchanged; reading them raises the error.
 
     Args:
-        metadata: The metadata of the grid; returned unchanged if they have nothing under
-            ``navbake``.
-        level: Number of the level, 0 is the lowest.
+        metadata: The metadata of the grid; returned unchanged for each level if they have nothing
+            under ``navbake``.
+        num_levels: Number of levels of the grid.
+
+    Returns:
+        The metadata of each level, lowest level first.
     """
     tables = metadata.get("navbake")
     if not isinstance(tables, dict) or not tables:
-        return metadata
-    level_tables = dict(tables)
-    for name, cut_table in CUT_FUNCTIONS.items():
+        return [metadata] * num_levels
+    parts_of_table: dict[str, list[Any]] = {}
+    for name, split_table in SPLIT_FUNCTIONS.items():
         with suppress(AttributeError, KeyError, TypeError, ValueError):
-            level_tables[name] = cut_table(tables[name], level)
-    return {**metadata, "navbake": level_tables}
+            parts_of_table[name] = split_table(tables[name], num_levels)
+    return [
+        {
+            **metadata,
+            "navbake": {**tables, **{name: parts[level] for name, parts in parts_of_table.items()}},
+        }
+        for level in range(num_levels)
+    ]
 
 
 def unflatten(links: JsonValue) -> JsonValue:
@@ -138,79 +147,91 @@ def unflatten(links: JsonValue) -> JsonValue:
     return links
 
 
-def cut_levels(levels: list[Json], level: int) -> list[Json]:
-    """Cut a list with an entry for each level down to one level's entry."""
-    return levels[level : level + 1]
+def split_levels(levels: list[Json], num_levels: int) -> list[list[Json]]:
+    """Divide a list with an entry for each level into lists of one entry."""
+    return [levels[level : level + 1] for level in range(num_levels)]
 
 
-def cut_links(links: JsonValue, level: int) -> list[JsonValue]:
-    """Cut a table of links down to one level, which becomes level 0.
+def split_links(links: JsonValue, num_levels: int) -> list[list[JsonValue]]:
+    """Divide a table of links among levels, each of which becomes level 0 of its part.
 
-    Steps within the level are kept, and named links with at least two stops on it.
+    Steps within a level are kept, and named links with at least two stops on it.
     """
-    level_links: list[JsonValue] = []
+    links_by_level: list[list[JsonValue]] = [[] for _ in range(num_levels)]
     for entry in unflatten(links):
         if isinstance(entry, dict):
-            stops = []
-            positions = []
+            stops_by_level: dict[int, list[JsonValue]] = {}
+            positions_by_level: dict[int, list[JsonValue]] = {}
             for (stop_level, cell), position in zip(
                 entry["stops"], entry["positions"], strict=True
             ):
-                if stop_level == level:
-                    stops.append([0, cell])
-                    positions.append(position)
-            if len(stops) >= 2:
-                level_links.append({**entry, "stops": stops, "positions": positions})
+                stops_by_level.setdefault(stop_level, []).append([0, cell])
+                positions_by_level.setdefault(stop_level, []).append(position)
+            for level, stops in stops_by_level.items():
+                if len(stops) >= 2 and 0 <= level < num_levels:
+                    positions = positions_by_level[level]
+                    links_by_level[level].append({**entry, "stops": stops, "positions": positions})
         else:
             first_level, first_cell, second_level, second_cell = entry
-            if first_level == second_level == level:
-                level_links.append([0, first_cell, 0, second_cell])
-    return level_links
+            if first_level == second_level and 0 <= first_level < num_levels:
+                links_by_level[first_level].append([0, first_cell, 0, second_cell])
+    return links_by_level
 
 
-def cut_rooms(rooms: list[Json], level: int) -> list[Json]:
-    """Cut a table of rooms down to one level, which becomes level 0.
+def split_rooms(rooms: list[Json], num_levels: int) -> list[list[Json]]:
+    """Divide a table of rooms among levels, each of which becomes level 0 of its part.
 
     The rooms' neighbours on other levels are left out.
     """
-    other_room_ids = {room["id"] for room in rooms if room["level"] != level}
-    level_rooms = []
+    levels_of_room_id: dict[str, set[int]] = {}
     for room in rooms:
-        if room["level"] == level:
-            neighbours = [
-                neighbour
-                for neighbour in room["neighbours"]
-                if neighbour["room"] not in other_room_ids
-            ]
-            # a copy: the whole grid's table stays as it is
-            level_rooms.append({**room, "level": 0, "neighbours": neighbours})
-    return level_rooms
+        levels_of_room_id.setdefault(room["id"], set()).add(room["level"])
+    rooms_by_level: list[list[Json]] = [[] for _ in range(num_levels)]
+    for room in rooms:
+        level = room["level"]
+        if not 0 <= level < num_levels:
+            continue
+        neighbours = [
+            neighbour
+            for neighbour in room["neighbours"]
+            if levels_of_room_id.get(neighbour["room"], {level}) == {level}
+        ]
+        # a copy: the whole grid's table stays as it is
+        rooms_by_level[level].append({**room, "level": 0, "neighbours": neighbours})
+    return rooms_by_level
 
 
-def cut_doors(doors: list[Json], level: int) -> list[Json]:
-    """Cut a table of doors down to one level, which becomes level 0.
+def split_doors(doors: list[Json], num_levels: int) -> list[list[Json]]:
+    """Divide a table of doors among levels, each of which becomes level 0 of its part.
 
-    Doors with cells on the level are kept, without their cells on other levels.
+    A door beside a stair may be on two levels: it is in the tables of both, on each without its
+    cells on the other.
     """
-    level_doors = []
+    doors_by_level: list[list[Json]] = [[] for _ in range(num_levels)]
     for door in doors:
-        # a door beside a stair may be on two levels: it is in the tables of both
-        cells_on_level: Json = {}
-        for key in ("cells", "solid"):
-            if key in door:
-                cells_on_level[key] = {
+        entries_by_key = {key: door[key] for key in ("cells", "solid") if key in door}
+        levels_of_door = {
+            entry[0]
+            for entries_by_state in entries_by_key.values()
+            for entries in entries_by_state.values()
+            for entry in entries
+        }
+        for level in levels_of_door.intersection(range(num_levels)):
+            cells_on_level: Json = {
+                key: {
                     state: [[0, *entry[1:]] for entry in entries if entry[0] == level]
-                    for state, entries in door[key].items()
+                    for state, entries in entries_by_state.items()
                 }
-        if any(any(entries_by_state.values()) for entries_by_state in cells_on_level.values()):
-            level_doors.append({**door, **cells_on_level})
-    return level_doors
+                for key, entries_by_state in entries_by_key.items()
+            }
+            doors_by_level[level].append({**door, **cells_on_level})
+    return doors_by_level
 
 
-CUT_FUNCTIONS: dict[str, Callable[[JsonValue, int], JsonValue]] = {
-    "levels": cut_levels,
-    "links": cut_links,
-    "rooms": cut_rooms,
-    "doors": cut_doors,
+SPLIT_FUNCTIONS: dict[str, Callable[[JsonValue, int], list[Any]]] = {
+    "levels": split_levels,
+    "links": split_links,
+    "rooms": split_rooms,
+    "doors": split_doors,
 }
-"""Name of a table -> function that takes the table and a level, and returns the level's part."""
+"""Name of a table -> function that divides the table among a number of levels."""

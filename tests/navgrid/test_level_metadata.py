@@ -13,7 +13,7 @@ from grid_maps import house_from, level_from
 from navbake import PathFinder
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid
 from navbake.navgrid.links import Step
-from navbake.navgrid.metadata import cut_metadata
+from navbake.navgrid.metadata import split_metadata
 from project_paths import ROOT
 
 GOLDEN = ROOT / "tests" / "golden"
@@ -131,11 +131,11 @@ def test_levels_follow_what_was_written_to_the_whole_s_metadata_when_it_is_read_
 def test_what_is_broken_is_left_to_the_whole(broken):
     metadata = {"navbake": broken}
     before = copy.deepcopy(metadata)
-    cut = cut_metadata(metadata, 0)
+    cut, _ = split_metadata(metadata, 2)
     assert metadata == before
     assert cut.keys() == metadata.keys()
 
 
 def test_metadata_without_navbake_s_part_are_shared():
     metadata = {"sceneId": "others"}
-    assert cut_metadata(metadata, 1) is metadata
+    assert all(part is metadata for part in split_metadata(metadata, 2))

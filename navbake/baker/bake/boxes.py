@@ -218,9 +218,11 @@ def _last_floor(floors: Float, heights_above: Float) -> float:
         heights_above: heights of the free cells of higher levels over the same rectangle, at or
             above the bottom of the level's box, shape (m,) [m].
     """
+    highest_floor = floors.max(initial=-np.inf)
+    if highest_floor < heights_above.min(initial=np.inf):
+        return float(highest_floor)
     # Of the floors below all of the higher levels', only the highest can be the best.
     is_below_all = floors < heights_above.min(initial=np.inf)
-    highest_floor = floors.max(initial=-np.inf)
     heights, num_at_height = np.unique(floors[~is_below_all], return_counts=True)
     heights = np.append(floors[is_below_all].max(initial=-np.inf), heights)
     num_contained = np.append(np.count_nonzero(is_below_all), num_at_height).cumsum()

@@ -272,6 +272,8 @@ def spread_labels(label: Int32, is_open: Bool) -> None:
         label: the label of each cell, from 1, 0 for none, shape (height, width); is changed.
         is_open: cells that may receive a label.
     """
+    if not (is_open & (label == 0)).any():
+        return
     padded_width = label.shape[1] + 2
     flat_labels = np.pad(label, 1).ravel()
     unlabelled_cells = np.flatnonzero(np.pad(is_open, 1).ravel() & (flat_labels == 0))
