@@ -28,6 +28,7 @@ from navbake.baker.rooms.segmentation import (
     assign_covered,
     assign_leaf_cells,
     assign_unmarked,
+    label_undivided_floors,
     renumber,
     segment_by_gaps,
 )
@@ -316,11 +317,19 @@ class _RoomAssignment:
         segments = list[Int32]()
         cells_beyond = list[Int]()
         separating_masks: list[Bool | None] = []
+        undivided_floors = label_undivided_floors(
+            self._flags.levels, self._flags.lattice.cell_size, self._settings.min_area
+        )
         for level_number, level in enumerate(self._flags.levels):
             leaf_marks = mark_leaves(
                 level, level_number, self._closed_leaves, self._flags.lattice.cell_size
             )
-            segments.append(self._segment_level(level_number, level, leaf_marks))
+            segment = undivided_floors[level_number]
+            if segment is None or leaf_marks is not None:
+                segment = self._divide_at_gaps(level_number, level, leaf_marks)
+            if self.room_numbers[level_number].any():
+                segment = self._divide_segments(level_number, segment, leaf_marks)
+            segments.append(segment)
             if leaf_marks is None:
                 cells_beyond.append(np.empty(0, dtype=np.int64))
                 separating_masks.append(None)
@@ -338,12 +347,10 @@ class _RoomAssignment:
             if leaf_cells is not None:
                 assign_leaf_cells(room_number, leaf_cells)
 
-    def _segment_level(
+    def _divide_at_gaps(
         self, level_number: int, level: LevelFlags, leaf_marks: LeafMarks | None
     ) -> Int32:
-        """Divide the floor of a level that no other source marks at gaps.
-
-        Marked rooms may get more cells: `room_numbers` is changed.
+        """Divide the floor of a level at gaps, and warn of gaps that were a close call.
 
         Args:
             level_number: the number of the level.
@@ -366,8 +373,6 @@ class _RoomAssignment:
         )
         if close_calls and door_width == "auto":
             self.warnings.append(_describe_close_calls(close_calls, level_number, lattice))
-        if self.room_numbers[level_number].any():
-            segment = self._divide_segments(level_number, segment, leaf_marks)
         return segment
 
     def _divide_segments(

@@ -16,6 +16,7 @@ which becomes a room unless geoms, sites or polygons mark rooms in it. The steps
 """
 
 import heapq
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,10 +26,11 @@ from navbake.baker.core.components import (
     find_row_runs,
     label_components_2d,
 )
+from navbake.baker.core.level_stacks import make_level_stacks
 from navbake.baker.core.windows import bounding_window, list_differing_pairs
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.rooms.flags import LevelFlags
-from navbake.baker.rooms.gap_limits import MAX_GAP_WIDTH
+from navbake.baker.rooms.gap_limits import MAX_GAP_WIDTH, MIN_SPACE_AREA
 from navbake.baker.rooms.gaps import CloseCall, SpaceMerger, find_gaps, label_spaces
 from navbake.baker.rooms.leaves import LeafMarks
 from navbake.baker.rooms.walls import (
@@ -160,6 +162,52 @@ def segment_by_gaps(
         for close_call in close_calls
     ]
     return segment, close_calls
+
+
+def label_undivided_floors(
+    levels: Sequence[LevelFlags], cell_size: float, min_area: float
+) -> list[Int32 | None]:
+    """Label the connected parts of floors that nothing divides: these parts are their segments.
+
+    Nothing divides a floor without a wall, if it has neither stairs nor parts that are too small
+    for a room. All levels are labelled by few calls, as towers have many of them.
+
+    Args:
+        levels: the flags of each level's cells; floors on which closed leaves stand are divided by
+            these, which is not considered here.
+        cell_size: the side of a cell, > 0 [m].
+        min_area: the least area of a room, > 0 [m²].
+
+    Returns:
+        For each level, the segment of each cell, from 1 in reading order, 0 for none, shape
+        (height, width); None for a level whose floor `segment_by_gaps` has to divide.
+    """
+    min_cells = max(min_area, MIN_SPACE_AREA) / cell_size**2
+    segments = list[Int32 | None]()
+    for stack in make_level_stacks(len(levels), levels[0].is_open.shape):
+        is_open = stack.stack([level.is_open for level in levels])
+        is_hole = stack.stack([level.is_hole for level in levels])
+        is_divided = ~stack.unstack(is_open | is_hole).all(axis=(1, 2))
+        if is_divided.all():
+            segments += [None] * len(stack.levels)
+            continue
+        floor = stack.unstack(stack.stack([level.floor for level in levels]))
+        rise = np.fmax.reduce(floor, axis=(1, 2)) - np.fmin.reduce(floor, axis=(1, 2))
+        is_divided |= rise >= _min_steep_rise(cell_size) / 2
+        label, num_labels = label_components_2d(is_open)
+        num_cells = count_cells_by_label(label, num_labels + 1)
+        by_level = stack.unstack(label)
+        # parts are numbered level by level
+        last_label = np.maximum.accumulate(by_level.max(axis=(1, 2)))
+        small_labels = np.flatnonzero(num_cells[1:] < min_cells) + 1
+        is_divided[np.searchsorted(last_label, small_labels)] = True
+        first_label = np.append(0, last_label[:-1]).astype(np.int32)
+        for level_label, num_labels_below, divided in zip(
+            by_level, first_label, is_divided.tolist(), strict=True
+        ):
+            segment = np.where(level_label > 0, level_label - num_labels_below, 0)
+            segments.append(None if divided else segment.astype(np.int32, copy=False))
+    return segments
 
 
 def _label_at_gaps(
@@ -326,8 +374,8 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
         floor: heights of the floor [m].
         cell_size: the side of a cell, > 0 [m].
     """
-    reach = max(1, round(STEEPNESS_REACH / cell_size))  # [cells]
-    min_rise = MIN_STEEPNESS * 2 * reach * cell_size
+    reach = _steepness_reach(cell_size)
+    min_rise = _min_steep_rise(cell_size)
     is_steep = np.zeros(label.shape, dtype=np.bool_)
     if not np.fmax.reduce(floor, axis=None) - np.fmin.reduce(floor, axis=None) >= min_rise / 2:
         return is_steep
@@ -350,6 +398,16 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
 
     run_in_chunks(mark_rows, len(label), min_chunk_size=2 * reach)
     return is_steep
+
+
+def _steepness_reach(cell_size: float) -> int:
+    """Return how many cells away, on both sides of a cell, its steepness is measured."""
+    return max(1, round(STEEPNESS_REACH / cell_size))
+
+
+def _min_steep_rise(cell_size: float) -> float:
+    """Return the least rise between both sides of a steep cell [m]."""
+    return MIN_STEEPNESS * 2 * _steepness_reach(cell_size) * cell_size
 
 
 class SpaceContact(NamedTuple):

@@ -404,3 +404,33 @@ def test_a_chase_deeper_than_a_wall_beside_a_wide_opening():
     is_open[17:25, 1:7] = False
     rooms = segment_by_gaps(is_open)[0]
     assert rooms[10, 10] == rooms[35, 10] != rooms[10, 50]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_floors_that_nothing_divides_are_labelled_as_if_they_were_searched_for_gaps(seed):
+    """Levels with and without walls, holes, stairs and small parts, in any order."""
+    rng = np.random.default_rng(seed)
+    shape = (24, 30)
+    none = np.zeros(shape, dtype=np.bool_)
+    levels = []
+    for kind in rng.permutation(["plain", "wall", "hole", "stair", "empty", "nook", "plain"]):
+        is_open = np.ones(shape, dtype=np.bool_)
+        row, col = rng.integers(5, 18, 2)
+        if kind in ("wall", "hole"):
+            is_open[row : row + 2] = False
+        if kind == "nook":
+            is_open[2, :3] = is_open[:3, 2] = False
+        if kind == "empty":
+            is_open[:] = False
+        floor = np.full(shape, 3.0)
+        if kind == "stair":
+            floor[:, col - 3 : col + 3] += np.linspace(0.0, 2.0, 6)
+            floor[:, col + 3 :] += 2.0
+        is_hole = ~is_open & (kind != "wall")
+        levels.append(LevelFlags(floor, is_open, is_hole, none, none, none, none))
+    segments = segmentation.label_undivided_floors(levels, CELL, 1.0)
+    for level, segment in zip(levels, segments, strict=True):
+        searched, _ = segmentation.segment_by_gaps(level, CELL, 1.0)
+        if segment is not None:
+            np.testing.assert_array_equal(segment, searched)
+    assert sum(segment is None for segment in segments) == 3  # the wall, the stair and the nook
