@@ -23,6 +23,7 @@ DOORWAY = "#ff9f5a"  # where a door would block the way if it were closed
 ROUTE = "#1864ab"
 START = "#2f9e44"  # of a path or an episode
 FREE_TINT = "#a9dfc4"  # free cells in a scene, where they must stand out from grey floors
+TARGET = "#d24bff"  # what a base that stands somewhere reaches
 STAND = "#0f875a"  # cells where a base can stand, and which way it faces there
 # the first kind of mark in a picture has the first colour, and so on
 MARKS = ("#d24bff", "#0f875a", "#a5a50f", "#780f96", "#f07896", "#4b4b00")

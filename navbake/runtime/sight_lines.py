@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.types import Bool, Float, Int
 
@@ -68,10 +69,10 @@ class SightLines(NamedTuple):
         share: share of the line's length up to where it enters the cell, 1 after its end.
     """
 
-    row: Int
-    col: Int
-    row_before: Int
-    col_before: Int
+    row: NDArray[np.int16]
+    col: NDArray[np.int16]
+    row_before: NDArray[np.int16]
+    col_before: NDArray[np.int16]
     share: Float
 
     def find_hidden(
@@ -154,12 +155,15 @@ def trace_sight_lines(max_cells: int) -> SightLines:
     num_rows, num_cols = np.meshgrid(line_spans, line_spans, indexing="ij")
     row = np.zeros_like(num_rows)
     col = np.zeros_like(num_cols)
-    rows = []
-    cols = []
-    rows_before = []
-    cols_before = []
-    shares = []
-    for _ in range(2 * max_cells):
+    shape = (*num_rows.shape, 2 * max_cells)
+    lines = SightLines(
+        row=np.empty(shape, dtype=np.int16),
+        col=np.empty(shape, dtype=np.int16),
+        row_before=np.empty(shape, dtype=np.int16),
+        col_before=np.empty(shape, dtype=np.int16),
+        share=np.empty(shape),
+    )
+    for step in range(2 * max_cells):
         # where on the line the next edges are, times 2 * num_rows * num_cols
         next_row_edge = np.where(row < num_rows, (2 * row + 1) * num_cols, np.inf)
         next_col_edge = np.where(col < num_cols, (2 * col + 1) * num_rows, np.inf)
@@ -167,17 +171,11 @@ def trace_sight_lines(max_cells: int) -> SightLines:
         is_right = (next_col_edge <= next_row_edge) & (col < num_cols)
         row_share = np.where(is_down, (2 * row + 1) / np.maximum(2 * num_rows, 1), 1.0)
         col_share = np.where(is_right, (2 * col + 1) / np.maximum(2 * num_cols, 1), 1.0)
-        shares.append(np.minimum(row_share, col_share))
-        rows_before.append(row)
-        cols_before.append(col)
+        lines.share[..., step] = np.minimum(row_share, col_share)
+        lines.row_before[..., step] = row
+        lines.col_before[..., step] = col
         row = row + is_down
         col = col + is_right
-        rows.append(row)
-        cols.append(col)
-    return SightLines(
-        row=np.stack(rows, axis=-1),
-        col=np.stack(cols, axis=-1),
-        row_before=np.stack(rows_before, axis=-1),
-        col_before=np.stack(cols_before, axis=-1),
-        share=np.stack(shares, axis=-1),
-    )
+        lines.row[..., step] = row
+        lines.col[..., step] = col
+    return lines

@@ -31,6 +31,7 @@ from navbake.runtime.stand_cells import (
 )
 from navbake.types import Bool, Float, Int, Json
 
+NUM_CIRCLE_CORNERS = 32  # of the outline of a base that is a disc
 StandTargets: TypeAlias = str | ArrayLike | Sequence[str | ArrayLike]
 """A position, ``object:NAME``, ``category:NAME``, or a list of these."""
 
@@ -48,6 +49,11 @@ class StandPoses:
         path_lengths: the lengths of the shortest paths from the start [m], shape (n,); NaN without
             a start.
         targets: the names of the targets: an object's name, or a point's numbers.
+        target_boxes: x, y, z of the lower, then of the upper corner of each target's box, world
+            [m], shape (m, 6). Of a point both are the point; of an object without a box, it is that
+            round its cells, on their floors. NaN for a point in no cell without a height.
+        outline: the base from above, x ahead, y to the left of its axis [m], shape (k, 2): the
+            footprint, or a circle of the grid's radius.
         why_not: target without a pose -> a sentence that says why it has none.
     """
 
@@ -57,6 +63,8 @@ class StandPoses:
     distances: Float
     path_lengths: Float
     targets: tuple[str, ...]
+    target_boxes: Float
+    outline: Float
     why_not: dict[str, str]
 
     def __len__(self) -> int:
@@ -150,6 +158,8 @@ def stand_poses(
         distances=distances[picked_indices],
         path_lengths=path_lengths[picked_indices],
         targets=tuple(stand_target.name for stand_target in targets),
+        target_boxes=np.stack([find_target_box(search, target) for target in targets]),
+        outline=_make_outline(search, rules),
         why_not=why_not,
     )
 
@@ -176,6 +186,14 @@ def stand_region(search: Search, target: StandTargets, rules: StandRules) -> lis
         is_stand[search.flat.cells_of(level_number)].reshape(level.shape)
         for level_number, level in enumerate(search.grid.levels)
     ]
+
+
+def _make_outline(search: Search, rules: StandRules) -> Float:
+    """Return the outline of the base: its footprint, or a circle; shape (k, 2) [m]."""
+    if rules.footprint is not None:
+        return np.array(rules.footprint, dtype=np.float64)
+    angles = np.linspace(0.0, 2.0 * math.pi, NUM_CIRCLE_CORNERS, endpoint=False)
+    return search.grid.radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
 class ReachTest:
@@ -309,6 +327,18 @@ def find_stand_targets(
                 hint=hint,
             )
     return targets
+
+
+def find_target_box(search: Search, target: StandTarget) -> Float:
+    """Return the box of a target, see `StandPoses.target_boxes`; shape (6,) [m]."""
+    if target.box is not None:
+        return target.box
+    if not len(target.cells):
+        return np.full(6, np.nan)
+    positions = search.flat.positions(target.cells)
+    half_edges = search.flat.layout.cell_size[search.flat.level_of(target.cells)] / 2.0
+    margins = half_edges[:, None] * np.array([1.0, 1.0, 0.0])
+    return np.append((positions - margins).min(axis=0), (positions + margins).max(axis=0))
 
 
 def _find_named_targets(search: Search, text: str) -> list[StandTarget]:

@@ -30,6 +30,7 @@ from navbake.known_names import check_choice, list_first
 from navbake.runtime.flat_grid import FlatGrid, RealNumber, check_distance
 from navbake.runtime.inflation import inflate_footprint, ledges_setting
 from navbake.runtime.name_map import NO_ENTRY
+from navbake.runtime.places import snap_to_cells
 from navbake.runtime.search import NO_CELLS, Search
 from navbake.runtime.sight_lines import Obstructions, SightLines, trace_sight_lines
 from navbake.types import Bool, Float, Int
@@ -38,6 +39,7 @@ NUM_HEADINGS = 64  # headings at which a footprint is tested
 HEADING_STEP = 2.0 * math.pi / NUM_HEADINGS  # [rad]
 REACH_SLACK = 1e-9  # share of a reach by which rounding may change a distance
 MAX_PAIRS = 2_000_000  # pairs of bases and squares that are measured at once, to limit memory
+MAX_SIGHT_CELLS = 200  # cells over which a line of sight may lead: 300 MB for the table of lines
 MAX_NAMES = 3  # how many names of things in between a sentence lists
 DISTANCE_DIGITS = 9  # decimal digits of distances that are compared
 MIDDLE_SLACK = 1e-9  # how near to the middle of a square a base stands in it [m]
@@ -209,8 +211,10 @@ class StandSite:
                 search.grid, rules.footprint, NUM_HEADINGS, ledges=ledges_setting(search.grid)
             )
             self._fits = np.concatenate([mask.reshape(NUM_HEADINGS, -1) for mask in masks], axis=1)
-        self._max_cells = math.ceil(rules.reach[1] / float(self._flat.layout.cell_size.min())) + 1
-        self._lines: SightLines = trace_sight_lines(self._max_cells)
+        max_cells = 0
+        if rules.sight is not False:
+            max_cells = _count_cells_in_reach(self._flat, rules.reach[1])
+        self._lines: SightLines = trace_sight_lines(max_cells)
 
     def find_stands(self, target: StandTarget) -> Stands:
         """Find the cells where a base can stand to reach a target, on the levels of its cells.
@@ -219,9 +223,7 @@ class StandSite:
             target: the thing to be reached.
         """
         level_of_cell = self._flat.level_of(target.cells)
-        edges = self._flat.layout.cell_size[level_of_cell][:, None]
-        middles = self._flat.positions(target.cells)[:, :2]
-        squares = cut_squares(middles, edges, target.box)
+        squares = self._squares_of(target)
         stands_of_levels = [
             self._find_on_level(target, squares, level, level_of_cell == level)
             for level in np.unique(level_of_cell).tolist()
@@ -256,7 +258,7 @@ class StandSite:
             on_level: which of these cells are on the level, at least one, shape (k,).
         """
         target_cells = target.cells[on_level]
-        window = self._cut_window(level, target_cells)
+        window = self._cut_window(level, target_cells, self._rules.reach[1])
         is_aim = self._find_aims(target, target_cells)
         aim_places = window.to_places(target_cells[is_aim])
         squares = target_squares[on_level][is_aim]
@@ -309,13 +311,13 @@ class StandSite:
             is_fitting = self._fits[heading_index % NUM_HEADINGS, cells]
         return Stands(cells[is_fitting], distances[is_fitting], headings[is_fitting], tally)
 
-    def _cut_window(self, level: int, target_cells: Int) -> Window:
-        """Return the window of a level in which bases may reach some cells."""
+    def _cut_window(self, level: int, target_cells: Int, distance: float) -> Window:
+        """Return the window of a level that has all cells within a distance of some cells [m]."""
         layout = self._flat.layout
         width = int(layout.width[level])
         height = int(layout.height[level])
         cell_size = float(layout.cell_size[level])
-        margin = math.ceil(self._rules.reach[1] / cell_size) + 1
+        margin = math.ceil(distance / cell_size) + 1
         level_cells = self._flat.cells_of(level)
         rows, cols = np.divmod(target_cells - level_cells.start, width)
         first_row = max(int(rows.min()) - margin, 0)
@@ -517,7 +519,11 @@ class StandSite:
             if self._rules.height is not None:
                 distances += f", measured from a shoulder {self._rules.height:g} m above the floor,"
             radius = self._search.grid.radius
-            return f"no cell at {distances} is free for a radius of {radius:g} m"
+            reason = f"no cell at {distances} is free for a radius of {radius:g} m"
+            nearest_distance = self._measure_to_free_cells(target)
+            if math.isfinite(nearest_distance):
+                reason += f": the nearest free cell is at {nearest_distance:.2f} m"
+            return reason
         if not tally.num_with_path:
             cells_text = f"the {tally.num_in_reach} free cells in reach of {target.name}"
             return f"no path leads from the start to {cells_text}"
@@ -530,6 +536,45 @@ class StandSite:
             f"none of the {tally.num_in_sight} cells in reach and in sight of {target.name}"
         )
         return f"the footprint fits in {cells_text}"
+
+    def _measure_to_free_cells(self, target: StandTarget) -> float:
+        """Measure the distance of the nearest free cell to a target, on the levels of its cells.
+
+        Args:
+            target: the thing to be reached, in at least one cell.
+
+        Returns:
+            The distance as bases measure it [m]; inf where no cell is free.
+        """
+        level_of_cell = self._flat.level_of(target.cells)
+        squares = self._squares_of(target)
+        nearest_distance = math.inf
+        for level in np.unique(level_of_cell).tolist():
+            target_cells = target.cells[level_of_cell == level]
+            middles = self._flat.positions(target_cells)[:, :2]
+            _, snapped_cells = snap_to_cells(self._flat, self._flat.free, middles, level)
+            snapped_cells = snapped_cells[snapped_cells >= 0]
+            if not len(snapped_cells):
+                continue
+            # near the cells that are the nearest to middles, one may be nearer to a square
+            distance = self._measure_distances(snapped_cells, target, squares).min()
+            window = self._cut_window(level, target_cells, distance)
+            free_cells = window.to_cells(np.argwhere(window.cut(self._flat.free)))
+            distance = self._measure_distances(free_cells, target, squares).min()
+            nearest_distance = min(nearest_distance, float(distance))
+        return nearest_distance
+
+    def _measure_distances(self, cells: Int, target: StandTarget, squares: Float) -> Float:
+        """Measure from the middles of bases' cells to the nearest of a target's squares [m]."""
+        points = self._flat.positions(cells)[:, :2]
+        height_gaps = self._measure_height_gaps(cells, target.box)
+        return np.hypot(measure_to_nearest(points, squares), height_gaps)
+
+    def _squares_of(self, target: StandTarget) -> Float:
+        """Return the squares of a target's cells, cut to its box, shape (k, 4) [m]."""
+        edges = self._flat.layout.cell_size[self._flat.level_of(target.cells)]
+        middles = self._flat.positions(target.cells)[:, :2]
+        return cut_squares(middles, edges[:, None], target.box)
 
 
 def _check_rules(rules: StandRules) -> None:
@@ -556,6 +601,32 @@ def _check_rules(rules: StandRules) -> None:
     if rules.height is not None:
         check_distance(rules.height, "height")
     check_distance(rules.sight, "sight")
+
+
+def _count_cells_in_reach(flat: FlatGrid, max_reach: float) -> int:
+    """Count the cells, along a row or a column, over which a line of sight may lead.
+
+    Args:
+        flat: the grid.
+        max_reach: greatest distance of a base to a target [m].
+
+    Raises:
+        QueryError: it is so large that the lines would not fit into memory.
+    """
+    cell_size = float(flat.layout.cell_size.min())
+    largest_side = int(max(flat.layout.width.max(), flat.layout.height.max()))
+    num_cells = min(math.ceil(max_reach / cell_size) + 1, largest_side)
+    if num_cells > MAX_SIGHT_CELLS:
+        expected = f"a reach up to {(MAX_SIGHT_CELLS - 1) * cell_size:g} m where sight counts"
+        hint = "sight=False has no such limit"
+        raise QueryError(
+            f"expected {expected}, got {max_reach:g} m: {hint}",
+            key="reach",
+            value=max_reach,
+            expected=expected,
+            hint=hint,
+        )
+    return num_cells
 
 
 # ---------------------------------------------------------------- distances and headings

@@ -20,7 +20,7 @@ from PIL import Image
 from navbake.errors import MissingDependencyError, QueryError, printable
 from navbake.formats.source import write_bytes
 from navbake.navgrid.cells import check_level
-from navbake.navgrid.colors import DOOR, LINK, ROUTE, STAND, rgb_of
+from navbake.navgrid.colors import DOOR, LINK, ROUTE, STAND, TARGET, rgb_of
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.lattice import Lattice
 from navbake.runtime.paths import Path as Route
@@ -273,13 +273,21 @@ def render_picture(
             if overlays.poses is not None:
                 poses = overlays.poses
                 is_on_level = grid.cells_at(poses.positions).level == level_number
-                _draw_poses(ax, poses.positions[is_on_level], poses.headings[is_on_level])
+                _draw_poses(
+                    ax, poses.positions[is_on_level], poses.headings[is_on_level], poses.outline
+                )
+                target_middles = (poses.target_boxes[:, :3] + poses.target_boxes[:, 3:]) / 2.0
+                boxes = poses.target_boxes[np.isfinite(target_middles).all(axis=1)]
+                middles = (boxes[:, :3] + boxes[:, 3:]) / 2.0
+                _draw_targets(ax, boxes[grid.cells_at(middles).level == level_number])
             for mark_level, x, y, kind in overlays.marks:
                 if mark_level in (level_number, -1):
                     color = color_of_kind[kind]
                     ax.plot(x, y, "s", markerfacecolor="none", color=color, markersize=5, mew=1.2)
         if overlays.poses is not None or overlays.region is not None:
             color_of_kind = {**color_of_kind, "where a base can stand": STAND}
+        if overlays.poses is not None:
+            color_of_kind = {**color_of_kind, "what it reaches": TARGET}
         legend = _draw_legend(figure, panels, color_of_kind, overlays.route is not None)
         # names fit rooms, and titles fit beside each other: both need the layout
         figure.draw_without_rendering()
@@ -424,8 +432,46 @@ def _shade_region(
     ax.set(xlim=x_limits, ylim=y_limits)
 
 
-def _draw_poses(ax: PanelAxes, positions: Float, headings: Float) -> None:
-    """Draw poses of a level as arrows from the base's axis to where it faces."""
+def _draw_targets(ax: PanelAxes, boxes: Float) -> None:
+    """Draw what poses on a level reach: its box from above, and a star in its middle.
+
+    Args:
+        ax: the panel of the level.
+        boxes: lower and upper corners, shape (n, 6) [m].
+    """
+    for x_low, y_low, _, x_high, y_high, _ in boxes.tolist():
+        corners_x = [x_low, x_high, x_high, x_low, x_low]
+        corners_y = [y_low, y_low, y_high, y_high, y_low]
+        ax.plot(corners_x, corners_y, color=TARGET, linewidth=1.2, zorder=3)
+    middles = (boxes[:, :2] + boxes[:, 3:5]) / 2.0
+    ax.plot(*middles.T, "*", color=TARGET, markeredgecolor="white", markersize=11, zorder=4)
+
+
+def _draw_poses(ax: PanelAxes, positions: Float, headings: Float, outline: Float) -> None:
+    """Draw poses of a level: the base's outline, and an arrow from its axis to where it faces.
+
+    Args:
+        ax: the panel of the level.
+        positions: of the base's axis, world x, y, z [m], shape (n, 3).
+        headings: where the base faces [rad], shape (n,).
+        outline: the base from above, x ahead, y to the left [m], shape (k, 2).
+    """
+    from matplotlib.collections import PolyCollection  # loads matplotlib
+
+    cos = np.cos(headings)[:, None]
+    sin = np.sin(headings)[:, None]
+    corners_x = positions[:, :1] + cos * outline[:, 0] - sin * outline[:, 1]
+    corners_y = positions[:, 1:2] + sin * outline[:, 0] + cos * outline[:, 1]
+    ax.add_collection(
+        PolyCollection(
+            list(np.stack([corners_x, corners_y], axis=-1)),
+            facecolors="none",
+            edgecolors=STAND,
+            linewidths=0.9,
+            zorder=2.5,
+        ),
+        autolim=False,
+    )
     ax.quiver(
         positions[:, 0],
         positions[:, 1],

@@ -366,7 +366,10 @@ def test_stand_writes_poses_and_draws_them(run, tmp_path):
 
 def test_stand_says_in_a_line_why_there_is_no_pose(run):
     status, out, _ = run("stand", APARTMENT, "object:dining_lamp", "--radius", 0.2)
-    reason = "no cell at 0.3 to 0.8 m from dining_lamp is free for a radius of 0.2 m"
+    reason = (
+        "no cell at 0.3 to 0.8 m from dining_lamp is free for a radius of 0.2 m: the nearest free "
+        "cell is at 0.88 m"
+    )
     assert status == 1 and out == f"no pose: {reason}\n"
     status, out, _ = run("stand", APARTMENT, "object:dining_lamp", "object:sofa", "--radius", 0.2)
     assert status == 0 and out.endswith(f"no pose: {reason}\n")

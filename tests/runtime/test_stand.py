@@ -200,7 +200,7 @@ def list_names(entry) -> list[str]:
     return [name for names in entry.values() for name in names]
 
 
-def find_by_brute_force(level, name, reach, footprint, facing, sight):
+def find_by_brute_force(level, name, reach, footprint, facing, sight, height=None):
     """Each cell where a base can stand, and the headings at which it can."""
     names = {divmod(cell, level.width): entry for cell, entry in level.user_data.items()}
     box = level.metadata["navbake"]["boxes"].get(name)
@@ -227,6 +227,10 @@ def find_by_brute_force(level, name, reach, footprint, facing, sight):
         low, high = sides_of(cell)
         gaps = [max(a - p, p - b, 0) for p, a, b in zip(point, low, high, strict=True)]
         spans = [max(b - p, p - a) for p, a, b in zip(point, low, high, strict=True)]
+        if height is not None:  # the shoulder's: to the nearest height of the box
+            gap = max(box[2] - height, height - box[5], 0)
+            gaps.append(gap)
+            spans.append(gap)
         middle = [(a + b) / 2 - p for p, a, b in zip(point, low, high, strict=True)]
         return math.hypot(*gaps), math.hypot(*spans), middle
 
@@ -293,6 +297,40 @@ def test_bases_stand_where_brute_force_over_all_cells_and_headings_finds_that_th
             headings = expected[cell.row, cell.col]
             if footprint is not None or facing:
                 assert min(angle_between(heading, other) for other in headings) < 1e-6
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("height", [0.2, 0.9, 1.4])
+def test_a_shoulder_reaches_in_space_what_brute_force_over_points_of_the_box_finds(seed, height):
+    text, heights = random_map(seed)
+    level = make_level(text, heights, inset=0.02 * (seed % 2))
+    finder = PathFinder(level)
+    reach = ((0.0, 0.55), (0.3, 0.7))[seed % 2]
+    for name in ("cup_1", "box", "table"):
+        for sight in (True, False):
+            rules = {"reach": reach, "height": height, "sight": sight}
+            expected = find_by_brute_force(level, name, reach, None, "target", sight, height)
+            poses = finder.stand_poses(f"object:{name}", count=None, **rules)
+            cells = level.cells_at(poses.positions)
+            stands = set(zip(cells.row.tolist(), cells.col.tolist(), strict=True))
+            assert stands == expected.keys()
+        # the things' squares as points in space, 11 along each edge, over the height of their box
+        x_low, y_low, z_low, x_high, y_high, z_high = level.metadata["navbake"]["boxes"][name]
+        steps = np.linspace(0.0, CELL, 11)
+        points = []
+        for cell, entry in level.user_data.items():
+            if name in list_names(entry):
+                row, col = divmod(cell, level.width)
+                x = np.clip(col * CELL + steps, x_low, x_high)
+                y = np.clip((level.height - 1 - row) * CELL + steps, y_low, y_high)
+                z = np.linspace(z_low, z_high, 21)
+                points.append(np.stack(np.meshgrid(x, y, z), axis=-1).reshape(-1, 3))
+        points = np.concatenate(points)
+        for position, distance in zip(poses.positions, poses.distances, strict=True):
+            shoulder = position + np.array([0.0, 0.0, height])
+            nearest = np.linalg.norm(points - shoulder, axis=1).min()
+            assert distance <= nearest + 1e-9 and nearest - distance < 0.02
+            assert reach[0] - 1e-9 <= nearest <= reach[1] + 1e-9
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -543,6 +581,48 @@ def test_a_target_without_a_pose_has_a_reason(target, rules, reason):
     assert re.match(reason, text)
 
 
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("height", [None, 1.2])
+def test_a_reason_says_how_near_the_nearest_free_cell_is(seed, height):
+    text, heights = random_map(seed)
+    level = make_level(text, heights, inset=0.02)
+    finder = PathFinder(level)
+    poses = finder.stand_poses("object:table", reach=(4.0, 5.0), height=height)
+    nearest = np.inf
+    x_low, y_low, _, x_high, y_high, top = level.metadata["navbake"]["boxes"]["table"]
+    for row, col in np.argwhere(level.free).tolist():
+        x = (col + 0.5) * CELL
+        y = (level.height - row - 0.5) * CELL
+        for cell, entry in level.user_data.items():
+            if "table" in list_names(entry):
+                table_row, table_col = divmod(cell, level.width)
+                west = max(table_col * CELL, x_low)
+                south = max((level.height - 1 - table_row) * CELL, y_low)
+                east = min((table_col + 1) * CELL, x_high)
+                north = min((level.height - table_row) * CELL, y_high)
+                gaps = (west - x, x - east, 0.0), (south - y, y - north, 0.0)
+                gap_z = 0.0 if height is None else max(height - top, 0.0)
+                nearest = min(nearest, math.hypot(*map(max, gaps), gap_z))
+    assert poses.why_not["table"].endswith(f": the nearest free cell is at {nearest:.2f} m")
+
+
+def test_poses_come_with_the_box_of_what_they_reach_and_the_outline_of_the_base():
+    level = make_level(KITCHEN, {"table": (0.0, 0.7)})
+    finder = PathFinder(level)
+    targets = ["object:table", "object:box", (0.25, 0.35, 0.5), (9.0, 9.0, 0.0)]
+    poses = finder.stand_poses(targets, footprint=BASE)
+    expected = [
+        (0.5, 0.6, 0.0, 1.1, 0.9, 0.7),
+        (0.4, 0.3, 0.0, 0.6, 0.5, 0.0),  # no box: round its cells, on the floor
+        (0.25, 0.35, 0.5, 0.25, 0.35, 0.5),
+        (9.0, 9.0, 0.0, 9.0, 9.0, 0.0),
+    ]
+    np.testing.assert_allclose(poses.target_boxes, expected, atol=1e-12)
+    np.testing.assert_array_equal(poses.outline, BASE)
+    disc = PathFinder(level.inflate(0.2)).stand_poses("object:box", reach=(0.1, 0.8)).outline
+    np.testing.assert_allclose(np.hypot(*disc.T), 0.2)
+
+
 def test_a_hidden_target_names_what_is_in_between():
     level = make_level("...........\n..bbbbbbb..\n..b.TTT.b..\n..bbbbbbb..\n...........")
     level.weights[2, [3, 7]] = np.inf
@@ -574,3 +654,15 @@ def test_what_is_wrong_is_one_clear_line(target, rules, message):
     finder = PathFinder(make_level(KITCHEN, HEIGHTS))
     with pytest.raises(QueryError, match=message):
         finder.stand_poses(target, **rules)
+
+
+def test_lines_of_sight_that_would_not_fit_into_memory_are_refused():
+    finder = PathFinder(make_level("." * 230))
+    with pytest.raises(
+        QueryError, match=r"expected a reach up to 19.9 m where sight counts, got 21"
+    ):
+        finder.stand_poses((0.05, 0.05, 0.0), reach=(0.0, 21.0))
+    poses = finder.stand_poses((0.05, 0.05, 0.0), reach=(0.0, 21.0), sight=False, count=None)
+    assert len(poses) == 211
+    small = PathFinder(make_level("." * 30))  # lines end with the grid
+    assert len(small.stand_poses((0.05, 0.05, 0.0), reach=(0.0, 1e6), count=None)) == 30

@@ -268,6 +268,8 @@ def test_poses_are_discs_with_an_arrow_to_where_they_face():
         distances=np.ones(3),
         path_lengths=np.ones(3),
         targets=("sofa", "mug"),
+        target_boxes=np.zeros((2, 6)),
+        outline=np.zeros((3, 2)),
         why_not={},
     )
     scene = draw_alone(poses)

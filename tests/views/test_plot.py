@@ -1,6 +1,7 @@
 """Pictures: the right cell in the right place, the same bytes each time."""
 
 import io
+import math
 import sys
 from itertools import combinations
 
@@ -9,7 +10,17 @@ import pytest
 
 import navbake
 from navbake.errors import MissingDependencyError, NavbakeError, QueryError
-from navbake.navgrid.colors import CLOSED, DOOR, FREE, MARKS, NO_FLOOR, OCCUPIED, ROUTE, STAND
+from navbake.navgrid.colors import (
+    CLOSED,
+    DOOR,
+    FREE,
+    MARKS,
+    NO_FLOOR,
+    OCCUPIED,
+    ROUTE,
+    STAND,
+    TARGET,
+)
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.rooms import to_runs
 from navbake.runtime.paths import Path as Route
@@ -227,10 +238,27 @@ def test_poses_and_the_cells_where_a_base_can_stand_are_drawn_on_their_level():
         render_picture(house, layers=["occupancy"], overlays=Overlays(poses=poses, region=region))
     )
     half = image.shape[1] // 2
-    _, cols = find(image, STAND, slice(0, image.shape[0] * 3 // 4))
-    assert len(cols) > 40 and (cols // half == level).all()
+    for what in (STAND, TARGET):
+        _, cols = find(image, what, slice(0, image.shape[0] * 3 // 4))
+        assert len(cols) > 40 and (cols // half == level).all()
     is_shaded = (image != shaded).any(axis=2)
     assert is_shaded.sum() > 1000 and (np.nonzero(is_shaded)[1] // half == level).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_pose_has_the_outline_of_its_base(seed):
+    house = navbake.load(GOLDEN / "house.grid.json.gz").levels[0]
+    outline = [(0.4, 0.1), (-0.4, 0.1), (-0.4, -0.1), (0.4, -0.1)]  # longer than the arrow
+    poses = navbake.PathFinder(house).stand_poses(
+        "object:sofa", count=1, footprint=outline, reach=(0.4, 1.2), seed=seed
+    )
+    picture = render_picture(house, layers=["occupancy"], overlays=Overlays(poses=poses))
+    image = pixels(picture)
+    rows, cols = find(image, STAND, slice(0, image.shape[0] * 3 // 4))
+    (heading,) = poses.headings
+    high = 0.8 * abs(math.sin(heading)) + 0.2 * abs(math.cos(heading))
+    wide = 0.8 * abs(math.cos(heading)) + 0.2 * abs(math.sin(heading))
+    assert math.isclose(np.ptp(rows) / np.ptp(cols), high / wide, rel_tol=0.1)
 
 
 @pytest.mark.parametrize("state", ["closed", "open"])
