@@ -547,16 +547,20 @@ class Measures(EpisodeMeasures):
 
     def _mark_reaching(self, positions: Float) -> Bool:
         """Mark the positions where the agent reaches the object of a goal, shape (n,)."""
-        if len(self._headings) < len(positions):
+        stances = [goal.stance for goal in self.episode.goals if goal.stance is not None]
+        headings = self._headings
+        if not any(stance.needs_heading for stance in stances):
+            headings = [0.0] * len(positions)
+        if len(headings) < len(positions):
             expected = f"a heading for each of {len(positions) - 1} positions"
-            got = f"{len(self._headings) - 1} in episode {self.episode.id!r}"
+            got = f"{len(headings) - 1} in episode {self.episode.id!r}"
             hint = "its task is to face an object, so trajectories need `headings` [rad]"
             raise QueryError(f"expected {expected}, got {got}: {hint}")
         is_reaching = np.zeros(len(positions), dtype=np.bool_)
         for goal in self.episode.goals:
             if goal.stance is not None:
                 reach_test = make_reach_test(self.finder, goal.name, goal.stance)
-                is_reaching |= reach_test.mark(positions, self._headings)
+                is_reaching |= reach_test.mark(positions, headings)
         return is_reaching
 
     def _count_collisions(self, positions: Float) -> int:

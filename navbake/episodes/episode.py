@@ -93,6 +93,11 @@ class Stance(Record, frozen=True, kw_only=True, omit_defaults=True):
     footprint: tuple[tuple[float, float], ...] = ()
     """Outline of the base, x ahead, y to the left [m]; () for a disc of the grid's radius."""
 
+    @property
+    def needs_heading(self) -> bool:
+        """Whether the agent's heading decides if it reaches the object."""
+        return self.tolerance is not None or bool(self.footprint)
+
 
 class Goal(Record, frozen=True, kw_only=True, omit_defaults=True):
     """A goal of an agent: a point, an object, a room, or a share of the free area to explore."""
