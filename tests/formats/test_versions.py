@@ -15,7 +15,12 @@ import navbake
 from navbake._version import __version__
 
 HERE = Path(__file__).parent / "versions"
-FREE = {"0.1.0": [2781, 1004], "0.2.0": [2781, 1004], "0.3.0": [2771, 983]}
+FREE = {
+    "0.1.0": [2781, 1004],
+    "0.2.0": [2781, 1004],
+    "0.3.0": [2771, 983],
+    "0.4.0": [2771, 983],
+}
 """The free cells of each level."""
 
 
