@@ -135,14 +135,12 @@ class OffCenter(NamedTuple):
         num_solid_before: entry i is the number of solid cells with flat ids below i, shape
             (n + 1,).
         radius: the agent's radius [m]; 0 for an agent that fits at every point of free cells.
-        is_solid_outside: whether the area beyond a level's cells is solid.
     """
 
     anywhere: Bool
     sweepable: Bool
     num_solid_before: Int32
     radius: float
-    is_solid_outside: bool
 
 
 class Visits(NamedTuple):

@@ -172,8 +172,10 @@ def compute_line_cost(start, end, level, graph):
 
 
 @subkernel
-def disc_passes(start, end, layout, level, num_solid_before, radius, is_solid_outside):
+def disc_passes(start, end, layout, level, num_solid_before, radius):
     """Return whether a disc can move along a line without overlapping a solid cell's square.
+
+    What is beyond the level's own cells doesn't count.
 
     Args:
         start: u, v of the line's start: columns and rows from the level's first corner, in cells.
@@ -182,7 +184,6 @@ def disc_passes(start, end, layout, level, num_solid_before, radius, is_solid_ou
         level: number of the level.
         num_solid_before: `OffCenter.num_solid_before` of `navbake.runtime.grid_arrays`.
         radius: the disc's radius, in cells.
-        is_solid_outside: `OffCenter.is_solid_outside`.
     """
     u0, v0 = start
     u1, v1 = end
@@ -199,12 +200,9 @@ def disc_passes(start, end, layout, level, num_solid_before, radius, is_solid_ou
         u_max = _largest_u(u0, v0, u1, v1, v_low, v_high, effective_radius)
         first_col = math.floor(u_min)
         stop_col = math.ceil(u_max)
-        is_outside = row < 0 or row >= num_rows
-        if is_solid_outside and (is_outside or first_col < 0 or stop_col > num_cols):
-            return False
         first_col = max(first_col, 0)
         stop_col = min(stop_col, num_cols)
-        if is_outside or first_col >= stop_col:
+        if row < 0 or row >= num_rows or first_col >= stop_col:
             continue
         row_start_id = layout.start[level] + row * num_cols
         if num_solid_before[row_start_id + stop_col] > num_solid_before[row_start_id + first_col]:
@@ -263,10 +261,7 @@ def can_pass(start, end, level, graph, off_center):
         return False
     radius = off_center.radius / layout.cell_size[level]
     num_solid_before = off_center.num_solid_before
-    is_solid_outside = off_center.is_solid_outside
-    return disc_passes(
-        start_in_cells, end_in_cells, layout, level, num_solid_before, radius, is_solid_outside
-    )
+    return disc_passes(start_in_cells, end_in_cells, layout, level, num_solid_before, radius)
 
 
 @kernel

@@ -173,7 +173,6 @@ class Search:
             sweepable=self._masks.sweepable,
             num_solid_before=num_solid_before,
             radius=self.grid.inflated_radius,
-            is_solid_outside=len(self.grid.levels) > 1,
         )
         return off_center
 

@@ -18,8 +18,9 @@ The agent is a disc whose centre is on a cell's centre. The rules:
 - Other levels: their occupied cells block where their floors are less than the agent's height,
   minus a step, above or below the agent's floor. So an object under a landing doesn't block the
   stair to it.
-- Outside the grid: nothing blocks beyond a grid of one level. In a grid of several levels, each
-  level is cut to the cells with a floor; the area beyond has no floor and counts as occupied.
+- The edge of the grid: nothing is known beyond the rectangle that encloses all levels, so nothing
+  blocks there. Each level of several is cut to the cells with a floor; within that rectangle, the
+  area beyond a level's own cells has no floor on the level and counts as occupied.
 - Cells without a floor that are not occupied, in files of other programs: at least 0.7 of the cells
   in the disc must have a floor, as in MINOS's client. Here this must hold for every smaller radius
   too, so that a larger agent is never free where a smaller one isn't.
@@ -98,8 +99,9 @@ def find_blocked(
         radius: the agent's radius [m], >= 0.
         ledges: ``avoid`` or ``ignore``, see `navbake.runtime.inflation.inflate`.
         counts_own_occupied: whether the level's own occupied cells block, as the rules say. If
-            False, only other levels, drops and holes block, and all cells of other levels count as
-            occupied: an upper bound, whatever stands on those levels.
+            False, only the area beyond the level's own cells, other levels, drops and holes block,
+            and all cells of other levels count as occupied: an upper bound, whatever stands on
+            those levels.
 
     Returns:
         bool, shape (height, width) of the level.
@@ -112,9 +114,11 @@ def find_blocked(
     if counts_own_occupied:
         is_blocked: Bool = kernels.dilate(occupied, disc_offsets.half_widths)
     else:
-        is_blocked = np.zeros(occupied.shape, dtype=np.bool_)
+        occupied_beyond_level = occupied.copy()
+        occupied_beyond_level[level_window] = 0
+        is_blocked = kernels.dilate(occupied_beyond_level, disc_offsets.half_widths)
         stack = stack._replace(occupied=np.ones_like(stack.occupied))
-        stack.occupied[stack.level] = 0
+        stack.occupied[stack.level] = occupied_beyond_level
     if radius_in_cells > 0:
         block_by_floors(grid, level_number, stack, radius, disc_offsets.offsets, ledges, is_blocked)
         # holes that are not occupied and leave too little floor in a disc
@@ -351,30 +355,24 @@ def stack_levels(
     level = grid.levels[level_number]
     max_step = step_limit(grid) * grid.unit
     corner_by_level = _find_aligned_levels(grid, level_number)
-    first_row = 0
-    first_col = 0
-    if len(grid.levels) == 1:
-        floor = _floor_in_metres(level)[None]
-        occupied = np.ascontiguousarray(level.solid)[None]
-    else:
-        rectangles = np.array([
-            [row, col, row + grid.levels[k].height, col + grid.levels[k].width]
-            for k, (row, col) in corner_by_level.items()
-        ])  # fmt: skip
-        first_corner = rectangles[:, :2].min(axis=0)
-        stop_corner = rectangles[:, 2:].max(axis=0)
-        first_row = max(-margin, int(first_corner[0])) - 1
-        first_col = max(-margin, int(first_corner[1])) - 1
-        stop_row = min(level.height + margin, int(stop_corner[0])) + 1
-        stop_col = min(level.width + margin, int(stop_corner[1])) + 1
-        shape = (len(corner_by_level), stop_row - first_row, stop_col - first_col)
-        floor = np.full(shape, np.nan, dtype=np.float32)
-        occupied = np.ones(shape, dtype=np.uint8)
-        for layer, (k, (row, col)) in enumerate(corner_by_level.items()):
-            stacked_level = grid.levels[k]
-            stacked_floor = _floor_in_metres(stacked_level)
-            _paste(floor[layer], stacked_floor, row - first_row, col - first_col)
-            _paste(occupied[layer], stacked_level.solid, row - first_row, col - first_col)
+    rectangles = np.array([
+        [row, col, row + grid.levels[k].height, col + grid.levels[k].width]
+        for k, (row, col) in corner_by_level.items()
+    ])  # fmt: skip
+    first_corner = rectangles[:, :2].min(axis=0)
+    stop_corner = rectangles[:, 2:].max(axis=0)
+    first_row = max(-margin, int(first_corner[0]))
+    first_col = max(-margin, int(first_corner[1]))
+    stop_row = min(level.height + margin, int(stop_corner[0]))
+    stop_col = min(level.width + margin, int(stop_corner[1]))
+    shape = (len(corner_by_level), stop_row - first_row, stop_col - first_col)
+    floor = np.full(shape, np.nan, dtype=np.float32)
+    occupied = np.ones(shape, dtype=np.uint8)
+    for layer, (k, (row, col)) in enumerate(corner_by_level.items()):
+        stacked_level = grid.levels[k]
+        stacked_floor = _floor_in_metres(stacked_level)
+        _paste(floor[layer], stacked_floor, row - first_row, col - first_col)
+        _paste(occupied[layer], stacked_level.solid, row - first_row, col - first_col)
     place_by_level = {
         k: StackPlace(layer, row - first_row, col - first_col)
         for layer, (k, (row, col)) in enumerate(corner_by_level.items())

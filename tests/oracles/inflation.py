@@ -53,11 +53,17 @@ def stacked_free(grid, radius: float, extent: int, ledges: str = "avoid") -> lis
                 for c in range(level.width)
             }
         )
+    places = np.array([place for cells in known for place in cells])
+    lowest, highest = places.min(axis=0), places.max(axis=0)
     result = []
     for number, level in enumerate(grid.levels):
         free = level.free.copy()
         for place, (floor, _, own) in known[number].items():
-            reached = _reached(place, radius, cell, extent)
+            reached = [
+                there
+                for there in _reached(place, radius, cell, extent)
+                if np.all((lowest <= there) & (there <= highest))  # nothing is known beyond
+            ]
             if free[own] and (
                 _is_hit(known, number, reached, floor, radius)
                 or (ledges == "avoid" and _hangs_over(known, reached, floor))

@@ -18,6 +18,7 @@ from navbake.formats.navgrid import dumps_navgrid
 from navbake.navgrid.islands import find_islands
 from navbake.navgrid.user_data import UserData
 from navbake.runtime.inflation import nav2_costs
+from navbake.runtime.search import Search
 from navbake.runtime.surroundings import stack_levels
 from oracles import inflation
 from project_paths import SHARED_DATA
@@ -151,30 +152,57 @@ def test_a_gallery_ends_at_its_edge_and_the_hall_below_is_no_drop():
     gallery = level_of(*["0" * 6] * 6)
     gallery.attributes["floorHeight"] += np.float32(2.8)
     below, above = stack(hall, gallery).inflate(0.16).levels
-    assert shown(below)[3] == "#" * 2 + "." * 8 + "#" * 2  # it ends where its floor ends
-    assert shown(above)[3] == "##..##"
+    assert shown(below)[3] == "." * 12
+    assert shown(above)[3] == "....##"
+
+
+def test_the_edge_of_a_grid_does_not_block_on_one_level_or_several():
+    hall = level_of(*["0" * 9] * 9)
+    office = level_of(*["0" * 4] * 4, row=2, col=5)
+    office.attributes["floorHeight"] += np.float32(2.8)
+    alone = hall.inflate(0.16)
+    below, above = stack(hall, office).inflate(0.16).levels
+    assert shown(below) == shown(alone) == ["." * 9] * 9
+    # the office ends at the grid's edge in the east, and where the hall goes on elsewhere
+    assert shown(above) == ["####", "####", "####", "####"]
+    wide_office = level_of(*["0" * 6] * 9, col=3)
+    wide_office.attributes["floorHeight"] += np.float32(2.8)
+    _, above = stack(hall, wide_office).inflate(0.16).levels
+    assert shown(above) == ["##...."] * 9
+
+
+def test_off_its_centres_an_agent_keeps_from_the_edge_of_its_level_too():
+    hall = level_of(*["0" * 12] * 9)
+    gallery = level_of(*["0" * 6] * 9)
+    gallery.attributes["floorHeight"] += np.float32(2.8)
+    search = Search(stack(hall, gallery).inflate(0.18))
+    masks = search.off_center
+    row = 9 * 12 + 4 * 6 + np.arange(6)  # a row of the gallery, which is free but for its last two
+    assert search.flat.free[row].tolist() == [True] * 4 + [False] * 2
+    assert masks.anywhere[row].tolist() == [True] * 3 + [False] * 3
+    assert masks.sweepable[row].tolist() == [True] * 3 + [False] * 3
 
 
 def test_the_stair_beside_a_landing_is_a_drop():
     lower = level_of(*["2222222222"] * 3)  # treads of a stair that turns, 0.6 m under the landing
     landing = level_of(*["8888888888"] * 4, row=3)
     _, above = stack(lower, landing).inflate(0.06).levels
-    assert shown(above)[:2] == ["#" * 10, "#" + "." * 8 + "#"]
+    assert shown(above)[:2] == ["#" * 10, "." * 10]
     _, hangs = stack(lower, landing).inflate(0.06, ledges="ignore").levels
-    assert shown(hangs)[:2] == ["#" + "." * 8 + "#"] * 2
+    assert shown(hangs)[:2] == ["." * 10] * 2
 
 
 def test_a_stair_leads_to_the_level_above_it():
     lower, top = stairs(*["000000"] * 5).inflate(0.12).levels
-    assert shown(lower)[2] == "#........###"  # beyond the first column there is no floor
-    assert shown(top)[2] == ".....#"
+    assert shown(lower)[2] == ".........###"
+    assert shown(top)[2] == "......"
     assert find_islands(stairs(*["000000"] * 5).inflate(0.12))[1][2, 0] == 1
 
 
 def test_a_wall_on_the_landing_is_in_the_way_on_the_stair():
     lower, top = stairs(*["000000"] * 2, "#00000", *["000000"] * 2).inflate(0.12).levels
-    assert shown(lower)[2] == "#.......####"
-    assert shown(top)[2] == "##...#"
+    assert shown(lower)[2] == "........####"
+    assert shown(top)[2] == "##...."
 
 
 def test_what_is_under_the_landing_is_not_in_the_way_on_the_stair():
@@ -187,7 +215,7 @@ def test_what_is_under_the_landing_is_not_in_the_way_on_the_stair():
 
 def test_levels_off_the_others_lattice_are_looked_at_alone():
     grid = stack(level_of("0000", "0000"), level_of("000#", "0000", col=0.5))
-    assert shown(grid.inflate(0.06).levels[1]) == ["####", "####"]
+    assert shown(grid.inflate(0.06).levels[1]) == ["..##", "...#"]
     assert shown(grid.inflate(0.04).levels[1]) == ["...#", "...."]
 
 
@@ -199,7 +227,7 @@ def test_wherever_an_edge_is_it_is_seen(edge):  # floors are compared in squares
     assert shown(down.inflate(0.16)) == ["." * (edge - 2) + "####" + "." * 18]
     beside = stack(level_of(*["0" * edge] * 9), level_of(*["0#000"] * 9, col=edge))
     seen = shown(beside.inflate(0.26).levels[0])[4]
-    assert seen == "###" + "." * (edge - 5) + "##"  # beyond the first column there is no floor
+    assert seen == "." * (edge - 2) + "##"
 
 
 # The result

@@ -124,6 +124,41 @@ def test_the_house_stays_one_over_its_stairs(radius):
     assert any((below == k).sum() > 300 and (above == k).sum() > 300 for k in (1, 2, 3))
 
 
+UPPER_FLOOR = """
+<geom name="upper" type="box" size="1.0 1.5 0.1" pos="1.0 0 2.5"/>
+"""
+GROUND_FLOOR = """
+<mujoco><worldbody>
+  <geom name="floor" type="box" size="2 1.5 0.1" pos="0 0 -0.1"/>
+  <geom name="wall" type="box" size="0.1 0.75 0.5" pos="0.5 -0.75 0.5"/>
+  <geom name="shelf" type="box" size="0.4 0.1 0.5" pos="-1.6 1.4 0.5"/>
+  {upper}
+</worldbody></mujoco>
+"""
+
+
+def export_ground(folder, upper: str) -> tuple[np.ndarray, bytes, int]:
+    """Inflate a ground floor, and write it as nav2's map; also how many levels the grid has."""
+    (folder / "scene.xml").write_text(GROUND_FLOOR.format(upper=upper))
+    grid = navbake.bake(folder / "scene.xml", floors={"reach": "all", "roofs": True})
+    inflated = grid.inflate(0.3)
+    grid.to_nav2(folder / "map.yaml", level=0, radius=0.3)
+    return inflated.levels[0].free, (folder / "map.pgm").read_bytes(), len(grid.levels)
+
+
+@pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
+def test_a_floor_ends_alike_whether_there_is_a_storey_over_it_or_not(tmp_path):
+    free_alone, map_alone, num_levels_alone = export_ground(tmp_path, "")
+    free_below, map_below, num_levels = export_ground(tmp_path, UPPER_FLOOR)
+    assert (num_levels_alone, num_levels) == (1, 2)
+    np.testing.assert_array_equal(free_below, free_alone)
+    assert map_below == map_alone
+    # nothing is known beyond the grid, so its edge does not block
+    assert free_below[-1, :10].all()
+    assert free_below[10:15, 0].all()
+    assert not free_below[0].all()  # the shelf
+
+
 @pytest.mark.parametrize(("name", "keyframe"), [("house", "doors_open"), ("apartment", None)])
 def test_a_body_on_free_cells_of_the_samples_touches_nothing(name, keyframe):
     radius, step = 0.25, 0.25
