@@ -35,7 +35,10 @@ PRINTED = {
     "spawn_and_plan": ["start at ", " m to room 1:1 through", "(50.00, 0.00, 0.00) lies beside"],
     "voxels_round_a_robot": ["in reach: beanbag, ", "apartment.bt: (200, 160, 52) voxels"],
 }
-NEEDS = {"gymnasium_env": ("array_api_compat", "gymnasium")}
+NEEDS = {
+    "fly_through_a_house": ("matplotlib",),
+    "gymnasium_env": ("array_api_compat", "gymnasium"),
+}
 # in processes of their own, since MuJoCo chooses how it renders when it is imported
 FILMS = ("draw_in_mujoco",)
 

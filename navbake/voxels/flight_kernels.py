@@ -3,11 +3,17 @@
 A ball meets an occupied voxel where a point of the cube is nearer to its centre than its radius.
 
 `find_flight` is A* (Hart, Nilsson and Raphael 1968) over the 26 neighbours of each voxel, and
-without a goal Dijkstra's algorithm (1959). Both take voxels from a binary heap. The cost that
-remains is estimated by the length of the shortest way over 26 neighbours to the box round the
-goals, times the least cost of a metre, which is never too much. In the open, very many routes cost
-the same, but for rounding; so the estimate is raised by `GREED`, a part in 10¹², which makes the
-search go ahead along one of them. The cost that is found is at most that part too high.
+without a goal Dijkstra's algorithm (1959). The cost that remains is estimated by the length of the
+shortest way over 26 neighbours to the box round the goals, times the least cost of a metre, which
+is never too much.
+
+Both take voxels from buckets (Dial 1969): all whose cost plus estimate is nearly the same wait in
+one bucket, in no order, which is several times as fast as a heap. A voxel that gets cheaper after
+it was taken waits again, so costs are least all the same. In the open, very many routes cost the
+same, but for rounding. The last voxel to come into a bucket is the first to be taken, which makes
+the search go ahead along one of these routes; and once a goal is reached, voxels are left out whose
+routes would be cheaper by less than `GREED`, a part in 10¹². The cost that is found is at most that
+part too high.
 
 `sees` marches along a straight line like sphere tracing (Hart 1996): where the distance field says
 that nothing is near, it steps as far as is safe. Elsewhere it compares a short piece of the line
@@ -27,7 +33,8 @@ from navbake.types import Float, Int
 
 FREE = 1 << 26  # bit of a voxel at whose centre the ball fits, after the bits of its 26 moves
 CONTACT_TOLERANCE = 1e-9  # a voxel that reaches into the ball by less does not meet it [m]
-GREED = 1e-12  # the part by which estimates of remaining costs are too high
+GREED = 1e-12  # the part by which a route must be cheaper for the search to go on
+BUCKET_SHARE = 0.05  # width of a bucket, relative to the least cost of a move
 NOT_REACHED = -1
 FROM_SOURCE = -2
 SQRT_2 = math.sqrt(2.0)
@@ -424,59 +431,18 @@ def label_islands(air, moves, labels):
     return num_islands
 
 
-@subkernel
-def _weight(air, x, y, z):
-    """Return the cost of a metre at the centre of a voxel that is not occupied."""
-    return 1.0 + air.cost_of_clearance / air.distances[x, y, z]
-
-
-@subkernel
-def _sink(keys, voxels, count, key, voxel):
-    """Put an entry into a binary heap at its root, in place of the one that is there.
+@subkernel(inline="always")  # calls would count references to the box, which takes half the time
+def _steps_to_box(x, y, z, box):
+    """Compute the length of the shortest way over 26 neighbours from a voxel to a box.
 
     Args:
-        keys: the keys of the entries, the least at the root.
-        voxels: the voxels of the entries.
-        count: number of entries.
-        key: the key of the new entry.
-        voxel: the voxel of the new entry.
-    """
-    place = 0
-    while True:
-        child = 2 * place + 1
-        if child >= count:
-            break
-        if child + 1 < count and keys[child + 1] < keys[child]:
-            child += 1
-        if keys[child] >= key:
-            break
-        keys[place] = keys[child]
-        voxels[place] = voxels[child]
-        place = child
-    keys[place] = key
-    voxels[place] = voxel
+        x: the voxel's index along x.
+        y: its index along y.
+        z: its index along z.
+        box: the first and the last index along x, along y and along z, (6,).
 
-
-@subkernel
-def _rise(keys, voxels, count, key, voxel):
-    """Add an entry to a binary heap of `count` entries, which has room for it."""
-    place = count
-    while place > 0:
-        parent = (place - 1) // 2
-        if keys[parent] <= key:
-            break
-        keys[place] = keys[parent]
-        voxels[place] = voxels[parent]
-        place = parent
-    keys[place] = key
-    voxels[place] = voxel
-
-
-@subkernel
-def _least_cost_to_box(air, x, y, z, box):
-    """Compute the least cost of a way over 26 neighbours from a voxel to a box, by its length.
-
-    `box` has the first and the last index along x, along y and along z.
+    Returns:
+        The length, in edges of a voxel.
     """
     along_x = max(box[0] - x, x - box[1], 0)
     along_y = max(box[2] - y, y - box[3], 0)
@@ -484,8 +450,7 @@ def _least_cost_to_box(air, x, y, z, box):
     least = min(along_x, along_y, along_z)
     most = max(along_x, along_y, along_z)
     middle = along_x + along_y + along_z - least - most
-    length = SQRT_3 * least + SQRT_2 * (middle - least) + (most - middle)
-    return length * air.res * air.least_weight
+    return SQRT_3 * least + SQRT_2 * (middle - least) + (most - middle)
 
 
 @kernel
@@ -510,69 +475,124 @@ def find_flight(air, moves, sources, source_costs, goals, goal_costs, costs, rea
         route's voxels from source to goal, (k, 3).
     """
     _, ny, nz = air.state.shape
+    # by flat index of a voxel
+    flat_state = air.state.ravel()
+    flat_distances = air.distances.ravel()
+    flat_costs = costs.ravel()
+    flat_moves = reached_by.ravel()
+    is_waiting = np.zeros(air.state.size, np.bool_)
+    index_steps = np.empty(26, np.int64)
+    cheaper_moves = np.empty(26, np.int64)  # the moves that make a neighbour cheaper
+    for move in range(26):
+        step_x, step_y, step_z = moves.steps[move]
+        index_steps[move] = (step_x * ny + step_y) * nz + step_z
     box = np.zeros(6, np.int64)
     for axis in range(3 if len(goals) else 0):
         box[2 * axis] = goals[:, axis].min()
         box[2 * axis + 1] = goals[:, axis].max()
-    keys = np.empty(1024)
-    voxels = np.empty(1024, np.int64)
-    num_open = 0
+    least_edge_cost = air.res * air.least_weight
+    bucket_width = BUCKET_SHARE * least_edge_cost
+    # the least cost that remains, for each edge of a voxel: nothing without goals
+    cost_ahead = least_edge_cost if len(goals) else 0.0
+    # each bucket is a stack of entries: its top entry, and the entry below each entry
+    top_entries = np.full(1024, -1, np.int64)
+    entries_below = np.empty(1024 + len(sources), np.int64)
+    entry_voxels = np.empty(1024 + len(sources), np.int64)
+    num_entries = 0
+    unused_entry = -1  # top of the stack of entries that may be used again
+    num_waiting = 0
+    least_key = np.inf
     for source in range(len(sources)):
         x, y, z = sources[source]
-        if source_costs[source] >= costs[x, y, z]:
+        key = source_costs[source] + cost_ahead * _steps_to_box(x, y, z, box)
+        least_key = min(least_key, key)
+    for source in range(len(sources)):
+        x, y, z = sources[source]
+        voxel = (x * ny + y) * nz + z
+        if source_costs[source] >= flat_costs[voxel]:
             continue
-        costs[x, y, z] = source_costs[source]
-        reached_by[x, y, z] = FROM_SOURCE
-        key = source_costs[source]
-        if len(goals):
-            key += (1.0 + GREED) * _least_cost_to_box(air, x, y, z, box)
-        if num_open == keys.shape[0]:
-            keys = np.append(keys, np.empty_like(keys))
-            voxels = np.append(voxels, np.empty_like(voxels))
-        _rise(keys, voxels, num_open, key, (x * ny + y) * nz + z)
-        num_open += 1
+        flat_costs[voxel] = source_costs[source]
+        flat_moves[voxel] = FROM_SOURCE
+        is_waiting[voxel] = True
+        key = source_costs[source] + cost_ahead * _steps_to_box(x, y, z, box)
+        bucket = int((key - least_key) / bucket_width)
+        while bucket >= len(top_entries):
+            top_entries = np.append(top_entries, np.full_like(top_entries, -1))
+        entry_voxels[num_entries] = voxel
+        entries_below[num_entries] = top_entries[bucket]
+        top_entries[bucket] = num_entries
+        num_entries += 1
+        num_waiting += 1
     best_cost = np.inf
     best_goal = -1
-    is_done = np.zeros(air.state.shape, np.bool_)
-    while num_open > 0:
-        if keys[0] >= best_cost:
+    bucket = 0
+    while num_waiting > 0:
+        while top_entries[bucket] < 0:
+            bucket += 1
+        if least_key + bucket * bucket_width >= best_cost:
             break
-        voxel = voxels[0]
-        num_open -= 1
-        _sink(keys, voxels, num_open, keys[num_open], voxels[num_open])
+        entry = top_entries[bucket]
+        top_entries[bucket] = entries_below[entry]
+        entries_below[entry] = unused_entry
+        unused_entry = entry
+        num_waiting -= 1
+        voxel = entry_voxels[entry]
+        if not is_waiting[voxel]:  # an entry from before it got cheaper
+            continue
+        is_waiting[voxel] = False
+        cost = flat_costs[voxel]
         x, rest = divmod(voxel, ny * nz)
         y, z = divmod(rest, nz)
-        if is_done[x, y, z]:  # an entry from before it got cheaper
+        least_cost = cost + cost_ahead * _steps_to_box(x, y, z, box)
+        if least_cost * (1.0 + GREED) >= best_cost:
             continue
-        is_done[x, y, z] = True
-        cost = costs[x, y, z]
-        for goal in range(len(goals)):
+        is_in_box = box[0] <= x <= box[1] and box[2] <= y <= box[3] and box[4] <= z <= box[5]
+        for goal in range(len(goals) if is_in_box else 0):
             is_here = goals[goal, 0] == x and goals[goal, 1] == y and goals[goal, 2] == z
             if is_here and cost + goal_costs[goal] < best_cost:
                 best_cost = cost + goal_costs[goal]
                 best_goal = goal
-        if num_open + 26 > keys.shape[0]:
-            keys = np.append(keys, np.empty_like(keys))
-            voxels = np.append(voxels, np.empty_like(voxels))
-        weight = _weight(air, x, y, z)
-        move_bits = air.state[x, y, z]
+        if num_entries + 26 > len(entry_voxels):
+            entries_below = np.append(entries_below, np.empty_like(entries_below))
+            entry_voxels = np.append(entry_voxels, np.empty_like(entry_voxels))
+        weight = 1.0 + air.cost_of_clearance / flat_distances[voxel]
+        move_bits = flat_state[voxel]
+        num_cheaper = 0
         for move in range(26):
             if not (move_bits >> move) & 1:
                 continue
+            end = voxel + index_steps[move]
+            end_weight = 1.0 + air.cost_of_clearance / flat_distances[end]
+            end_cost = cost + moves.lengths[move] * 0.5 * (weight + end_weight)
+            if end_cost >= flat_costs[end]:
+                continue
+            flat_costs[end] = end_cost
+            flat_moves[end] = move
+            is_waiting[end] = True
+            cheaper_moves[num_cheaper] = move
+            num_cheaper += 1
+        # in a loop of its own, since compilers would compute a key for each of the 26 moves
+        for place in range(num_cheaper):
+            move = cheaper_moves[place]
+            end = voxel + index_steps[move]
             end_x = x + moves.steps[move, 0]
             end_y = y + moves.steps[move, 1]
             end_z = z + moves.steps[move, 2]
-            mean_weight = 0.5 * (weight + _weight(air, end_x, end_y, end_z))
-            end_cost = cost + moves.lengths[move] * mean_weight
-            if is_done[end_x, end_y, end_z] or end_cost >= costs[end_x, end_y, end_z]:
-                continue
-            costs[end_x, end_y, end_z] = end_cost
-            reached_by[end_x, end_y, end_z] = move
-            key = end_cost
-            if len(goals):
-                key += (1.0 + GREED) * _least_cost_to_box(air, end_x, end_y, end_z, box)
-            _rise(keys, voxels, num_open, key, (end_x * ny + end_y) * nz + end_z)
-            num_open += 1
+            key = flat_costs[end] + cost_ahead * _steps_to_box(end_x, end_y, end_z, box)
+            # by rounding, a key may be a little less than those of its bucket
+            end_bucket = max(int((key - least_key) / bucket_width), bucket)
+            while end_bucket >= len(top_entries):
+                top_entries = np.append(top_entries, np.full_like(top_entries, -1))
+            if unused_entry >= 0:
+                entry = unused_entry
+                unused_entry = entries_below[entry]
+            else:
+                entry = num_entries
+                num_entries += 1
+            entry_voxels[entry] = end
+            entries_below[entry] = top_entries[end_bucket]
+            top_entries[end_bucket] = entry
+            num_waiting += 1
 
     route = np.empty((64, 3), np.int64)
     if best_goal < 0:
