@@ -465,6 +465,12 @@ class Viewer(AbstractContextManager["Viewer"]):
             marks.append(Mark(episode_run.episode.start, START_COLOR))
             marks += [Mark(goal, GOAL_COLOR) for goal in list_goal_positions(episode_run.episode)]
             lines.append(Line(path, GOAL_COLOR))
+            lines += [
+                Line(_draw_arrow(np.array(view_point.position), view_point.heading), STAND)
+                for goal in episode_run.episode.goals
+                if goal.stance is not None
+                for view_point in goal.view_points
+            ]
         if episode_run is not None and episode_run.trajectory is not None:
             trajectory = np.array(episode_run.trajectory.positions).reshape(-1, 3)
             lines.append(Line(trajectory, TRAJECTORY_COLOR))

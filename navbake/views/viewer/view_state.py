@@ -20,6 +20,7 @@ from navbake.episodes.episode import (
     list_goal_positions,
     scene_of,
 )
+from navbake.episodes.goals import find_goal_cells
 from navbake.errors import QueryError
 from navbake.navgrid import colors
 from navbake.navgrid.cells import place_at
@@ -713,9 +714,14 @@ class ViewState:
         episode = episode_run.episode
         if episode.path or episode.task in ("sequence", FLY_TASK):
             return np.array(episode.path or ()).reshape(-1, 3)
-        positions = list_goal_positions(episode)
+        finder = self.finder(choices)
         try:
-            path = self.finder(choices).find_path(episode.start, np.array(positions).reshape(-1, 3))
+            if any(goal.view_points for goal in episode.goals):  # nobody stands in the object
+                cells = np.concatenate([find_goal_cells(finder, goal) for goal in episode.goals])
+                places = finder.search.flat.positions(cells)
+            else:
+                places = np.array(list_goal_positions(episode)).reshape(-1, 3)
+            path = finder.find_path(episode.start, places)
         except QueryError:  # a start or a goal that isn't on the grid
             path = None
         return np.empty((0, 3)) if path is None else path.positions

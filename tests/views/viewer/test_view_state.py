@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import navbake
+from navbake.episodes.goals import find_goal_cells
 from navbake.episodes.sampler import make_episodes
 from navbake.errors import QueryError
 from navbake.navgrid.colors import FREE_TINT, rgb_of
@@ -249,6 +250,19 @@ def test_an_episode_without_a_path_has_a_shortest_one():
         for episode in ("lost", "driven", "")
     ]
     assert [len(path) for path in paths] == [0, 0, 0]
+
+
+@pytest.mark.parametrize("task", ["object", "reach"])
+def test_the_path_to_an_object_ends_where_it_is_reached(task):
+    grid = navbake.load(GOLDEN / "apartment.grid.json.gz")
+    episodes = make_episodes(grid, task, count=4)
+    view_state = ViewState(grid, runs=list_runs(grid, episodes, []), episodes=episodes)
+    finder = navbake.PathFinder(grid)
+    for episode in episodes.episodes:
+        path = view_state.episode_path(replace(first_choices(grid), episode=episode.id))
+        assert len(path) > 1
+        goals = np.concatenate([find_goal_cells(finder, goal) for goal in episode.goals])
+        assert finder.search.flat.cells_at(path[-1]) in goals
 
 
 def test_layers_levels_and_cut_change_what_is_drawn(room, chosen):
