@@ -25,7 +25,7 @@ from navbake.baker.floors.regions import (
     Regions,
     describe_surfaces,
     find_large_regions,
-    find_nearest_position,
+    find_middle_position,
     find_regions,
 )
 from navbake.baker.floors.rejected import LARGE_TOP_AREA, MIN_LINES_PER_THREAD, RejectedRegions
@@ -322,23 +322,27 @@ def _describe_on_levels(
         Number of a level -> its patch, whose position is on the region with the most surfaces
         there.
     """
-    region_ids = np.unique(pair_ids % regions.num_regions)
-    surfaces_by_region = regions.list_surfaces(region_ids)
-    if not surfaces_by_region:
+    if not len(pair_ids):
         return {}
     # the surfaces of all these regions, and the pair of each of them
-    surfaces = RegionSurfaces._make(map(np.concatenate, zip(*surfaces_by_region, strict=True)))
-    region = np.repeat(
-        region_ids, [len(region_surfaces.cell) for region_surfaces in surfaces_by_region]
-    )
-    preliminary_level = assignment.preliminary_level[surfaces.surface_id]
-    final_level = assignment.final_level[np.maximum(preliminary_level, 0)]
-    pair_of_surface = np.where(
-        preliminary_level >= 0, final_level * regions.num_regions + region, -1
-    )
+    surfaces = regions.surfaces
+    cell, surface_ids = expand_ranges(surfaces.first, surfaces.end)
+    region = regions.region_of(surface_ids)
+    is_selected = np.zeros(regions.num_regions + 1, dtype=np.bool_)  # the last is for no region
+    is_selected[pair_ids % regions.num_regions] = True
+    is_listed = is_selected[region] & (assignment.preliminary_level[surface_ids] >= 0)
+    surface_ids = surface_ids[is_listed]
+    final_level = assignment.final_level[assignment.preliminary_level[surface_ids]]
+    pair_of_surface = final_level * regions.num_regions + region[is_listed]
     sort_indices = np.argsort(pair_of_surface, kind="stable")
     pair_of_surface = pair_of_surface[sort_indices]
-    surfaces = surfaces.select(sort_indices)
+    surface_ids = surface_ids[sort_indices]
+    sorted_surfaces = RegionSurfaces(
+        cell=cell[is_listed][sort_indices],
+        z=surfaces.z[surface_ids],
+        geom=surfaces.geom[surface_ids],
+        surface_id=surface_ids,
+    )
     first_index_of_pair = np.searchsorted(pair_of_surface, pair_ids, side="left").tolist()
     end_index_of_pair = np.searchsorted(pair_of_surface, pair_ids, side="right").tolist()
     # number of a level -> for each region of a pair, its surfaces on the level
@@ -347,22 +351,21 @@ def _describe_on_levels(
         pair_ids.tolist(), first_index_of_pair, end_index_of_pair, strict=True
     ):
         surfaces_on_level.setdefault(pair_id // regions.num_regions, []).append(
-            surfaces.select(slice(first_index, end_index))
+            sorted_surfaces.select(slice(first_index, end_index))
         )
     lattice = regions.lattice
     patches = {}
     for level_number, level_surfaces_by_region in surfaces_on_level.items():
-        largest_surfaces = max(level_surfaces_by_region, key=lambda surfaces: len(surfaces.cell))
+        largest_surfaces = max(level_surfaces_by_region, key=lambda region: len(region.cell))
         level_surfaces = largest_surfaces
         if len(level_surfaces_by_region) > 1:
             level_surfaces = RegionSurfaces._make(
                 map(np.concatenate, zip(*level_surfaces_by_region, strict=True))
             )
-        row, col = np.divmod(largest_surfaces.cell, lattice.width)
         patches[level_number] = Patch(
             geom=int(np.bincount(level_surfaces.geom).argmax()),
             area=len(level_surfaces.cell) * lattice.cell_size**2,
-            position=find_nearest_position(lattice, largest_surfaces, row.mean(), col.mean()),
+            position=find_middle_position(lattice, largest_surfaces),
             cells=level_surfaces.cell.astype(np.int32),
         )
     return patches

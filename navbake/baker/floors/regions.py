@@ -464,33 +464,28 @@ def describe_surfaces(lattice: Lattice, surfaces: RegionSurfaces) -> Patch:
         lattice: the lattice of their cells.
         surfaces: the surfaces, at least one.
     """
-    row, col = np.divmod(surfaces.cell, lattice.width)
     return Patch(
         geom=int(np.bincount(surfaces.geom).argmax()),
         area=len(surfaces.cell) * lattice.cell_size**2,
-        position=find_nearest_position(lattice, surfaces, row.mean(), col.mean()),
+        position=find_middle_position(lattice, surfaces),
         cells=surfaces.cell.astype(np.int32),
     )
 
 
-def find_nearest_position(
-    lattice: Lattice, surfaces: RegionSurfaces, row: float, col: float
-) -> tuple[float, float, float]:
-    """Return the position of the surface nearest to a row and a column.
+def find_middle_position(lattice: Lattice, surfaces: RegionSurfaces) -> tuple[float, float, float]:
+    """Return the position of the surface nearest to the middle of surfaces, seen from above.
 
     Args:
         lattice: the lattice of the cells.
         surfaces: the surfaces, at least one.
-        row: a row of the lattice, maybe a fraction.
-        col: a column of the lattice, maybe a fraction.
 
     Returns:
         World coordinates x, y, z [m].
     """
-    surface_rows, surface_cols = np.divmod(surfaces.cell, lattice.width)
-    nearest_surface = int(((surface_rows - row) ** 2 + (surface_cols - col) ** 2).argmin())
-    x = lattice.center_x()[surface_cols[nearest_surface]]
-    y = lattice.center_y()[surface_rows[nearest_surface]]
+    row, col = np.divmod(surfaces.cell, lattice.width)
+    nearest_surface = int(((row - row.mean()) ** 2 + (col - col.mean()) ** 2).argmin())
+    x = lattice.center_x()[col[nearest_surface]]
+    y = lattice.center_y()[row[nearest_surface]]
     return float(x), float(y), float(surfaces.z[nearest_surface])
 
 
