@@ -244,6 +244,9 @@ def check_tiles(
             occupant_lists=occupant_lists,
             tile_state=tile_state,
         )
+        # most floors of a tower have a geom over them: a tile that has no room is checked again
+        if occupant_lists.ceiling.shape[0] > 0 and num_queries > entries.geom.shape[0]:
+            entries = _make_entries(num_queries + num_queries // 2)
         num_entries = np.int64(-1)
         while num_entries < 0:
             _check_lines(task, num_enclosing)
