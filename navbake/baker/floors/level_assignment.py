@@ -19,6 +19,7 @@ surfaces that are to be assigned: those of the regions that are floors.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -27,7 +28,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.core.area_test import AreaTest, is_large_enough, make_area_test
 from navbake.baker.core.arrays import HeightRange
-from navbake.baker.core.blocks import LEAST_BLOCKS, Blocks
+from navbake.baker.core.blocks import LEAST_BLOCKS, Blocks, list_rows
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors import level_kernels as kernels
 from navbake.baker.floors.component_kernels import HEIGHT_BIN, JoinRule, cross_tabulate
@@ -473,21 +474,22 @@ def _find_next_ground(
         # before shrinking, to skip bands with too few surfaces
         selection = HeightSelection(ground, ALL_BANDS, half_step, top)
         histogram = _count_heights(surfaces, candidates, selection, NO_SHRINKING)
-        band_numbers, band_index = np.unique(histogram.band, return_inverse=True)
-        num_surfaces_of_band = np.bincount(band_index, histogram.num_surfaces)
-        num_surfaces_by_band = dict(
-            zip(band_numbers.tolist(), num_surfaces_of_band.tolist(), strict=True)
-        )
+        num_surfaces_by_band = Counter[int]()
+        for band, num_surfaces in zip(
+            histogram.band.tolist(), histogram.num_surfaces.tolist(), strict=True
+        ):
+            num_surfaces_by_band[band] += num_surfaces
         # two bands of half a step each, the lower one first
+        lowest_band = min(num_surfaces_by_band, default=0)
         lower_bands = {
             lower_band
             for band in num_surfaces_by_band
             for lower_band in (band - 1, band)
-            if lower_band >= band_numbers[0]
+            if lower_band >= lowest_band
         }
         for band in sorted(lower_bands):
             end_height = (band + 2) * half_step
-            num_surfaces = num_surfaces_by_band.get(band, 0) + num_surfaces_by_band.get(band + 1, 0)
+            num_surfaces = num_surfaces_by_band[band] + num_surfaces_by_band[band + 1]
             if num_surfaces < area_test.min_cells or end_height > top:
                 continue
             # stairs and thresholds are too narrow to remain after shrinking
@@ -513,8 +515,9 @@ def _count_heights(
         selection: which of the floors are counted.
         area_test: the disc by which their cells are shrunk before they are counted.
     """
-    _, (histogram_rows, lowest_z) = Blocks(surfaces.lattice).list_rows(
+    _, (histogram_rows, lowest_z) = list_rows(
         kernels.count_heights,
+        np.arange(Blocks(surfaces.lattice).num_blocks),
         NO_HISTOGRAM_ROWS,
         surfaces,
         candidates,

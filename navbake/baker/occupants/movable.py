@@ -38,7 +38,7 @@ from navbake.baker.occupants.cell_names import BLOCKERS, OBJECTS, WALLS, name_ce
 from navbake.baker.occupants.standing import StandingOccupants
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
-from navbake.navgrid.user_data import SharedEntries, UserData, without_garbage_collection
+from navbake.navgrid.user_data import SharedEntries, UserData
 from navbake.types import Bool, Float, Int, Int32
 
 # Entries are stored in chunks; a chunk has those of this many rows of cells
@@ -467,13 +467,12 @@ def _name_cells(
     object_or_wall_bit = np.where(standing.kinds[movable_entries.geom] == WALL, WALLS, OBJECTS)
     movable_key_bits = np.where(movable_entries.flags & BLOCKING, BLOCKERS, 0)
     movable_key_bits |= np.where(movable_entries.flags & OCCUPYING, object_or_wall_bit, 0)
-    with without_garbage_collection():
-        cells, entry_numbers, entries = name_cells(
-            np.concatenate([occupied_cells, floor_cells, movable_entries.cell]),
-            np.concatenate([occupant_geoms, floor_geom, movable_entries.geom]),
-            np.concatenate([key_bits, floor_key_bits, movable_key_bits]),
-            names=standing.names,
-            lattice=occupants.lattice,
-            window=window,
-        )
-        return SharedEntries(cells, entry_numbers, entries)
+    cells, entry_numbers, entries = name_cells(
+        np.concatenate([occupied_cells, floor_cells, movable_entries.cell]),
+        np.concatenate([occupant_geoms, floor_geom, movable_entries.geom]),
+        np.concatenate([key_bits, floor_key_bits, movable_key_bits]),
+        names=standing.names,
+        lattice=occupants.lattice,
+        window=window,
+    )
+    return SharedEntries(cells, entry_numbers, entries)
