@@ -42,7 +42,32 @@ BOT = {
     "GIT_COMMITTER_NAME": "github-actions[bot]",
     "GIT_COMMITTER_EMAIL": "41898282+github-actions[bot]@users.noreply.github.com",
 }
-MODULES = ("episodes", "errors", "samples", "scores", "tensors", "testing")
+# pages of the reference: title, and the public names on it; of modules, all that they have
+REFERENCE = {
+    "reference_bake.md": (
+        "Bake and verify",
+        ("bake", "Baker", "BakeConfig", "samples", "verify", "audit", "report", "view", "draw"),
+    ),
+    "reference_grids.md": (
+        "Grids",
+        (
+            "load", "from_grscenes", "from_nav2", "from_npz", "from_omnigibson", "from_procthor",
+            "SceneGrid2D", "MultiLevelGrid",
+        ),
+    ),
+    "reference_agents.md": ("Paths and places", ("PathFinder", "Agent")),
+    "reference_voxels.md": (
+        "Voxels and flights",
+        (
+            "load_voxels", "create_voxel_grid", "Voxelizer", "VoxelGrid", "VoxelFinder",
+            "LocalFlight", "ExploredMap",
+        ),
+    ),
+    "reference_episodes.md": ("Episodes and scores", ("episodes", "scores")),
+    "reference_tensors.md": ("Tensors", ("tensors",)),
+    "reference_errors.md": ("Errors and tests", ("errors", "testing")),
+}  # fmt: skip
+HIDDEN_FROM_SEARCH = "---\nsearch:\n  exclude: true\n---\n\n"
 
 
 def collect_pages(root: Path, target: Path) -> None:
@@ -60,7 +85,11 @@ def collect_pages(root: Path, target: Path) -> None:
         text = (root / name).read_text(encoding="utf-8")
         (target / page).write_text(_lead_to_pages(text, posixpath.dirname(name)), encoding="utf-8")
     (target / EXAMPLES).write_text(_list_examples(root), encoding="utf-8")
-    (target / "reference.md").write_text(_list_names(), encoding="utf-8")
+    # the newest changes name all words of the field, and would be the first hit for each of them
+    changelog = (target / "changelog.md").read_text(encoding="utf-8")
+    (target / "changelog.md").write_text(HIDDEN_FROM_SEARCH + changelog, encoding="utf-8")
+    for page, text in _make_reference().items():
+        (target / page).write_text(text, encoding="utf-8")
     listed = (root / CONFIG).read_text(encoding="utf-8").partition("\nnav:\n")[2]
     left_out = [path.name for path in sorted(target.glob("*.md")) if path.name not in listed]
     if left_out:
@@ -97,20 +126,31 @@ def _anchor_of(path: str) -> str:
     return f"#{name.lower().replace('.', '')}" if name.endswith(".py") else ""
 
 
-def _list_names() -> str:
-    """The page of public names, whose docstrings mkdocstrings fills in."""
-    # where each public name is made; of modules, all that they have
-    named = {name: getattr(navbake, name) for name in navbake.__all__ if name != "__version__"}
-    places = [
-        (f"navbake.{name}", f"{made.__module__}.{made.__qualname__}")
-        for name, made in named.items()
-        if hasattr(made, "__qualname__") and made.__module__ != "navbake.errors"
-    ]
-    places += [(f"navbake.{name}", f"navbake.{name}") for name in MODULES]
-    parts = ["# Reference\n\nAll public names, from their docstrings.\n"]
-    for name, where in sorted(places):
-        parts.append(f"::: {where}\n    options: {{ heading: {name} }}\n")
-    return "\n".join(parts)
+def _make_reference() -> dict[str, str]:
+    """The pages of public names, whose docstrings mkdocstrings fills in, and a list of the pages.
+
+    Raises:
+        SystemExit: a public name is on no page.
+    """
+    errors = {name for name in navbake.__all__ if name in vars(navbake.errors)}
+    listed = {name for _, names in REFERENCE.values() for name in names}
+    left_out = sorted({*navbake.__all__} - errors - listed - {"__version__"})
+    if left_out:
+        sys.exit(f"scripts/make_docs.py: `REFERENCE` lacks {', '.join(left_out)}")
+    overview = ["# Reference", "", "All public names, from their docstrings.", ""]
+    pages = {}
+    for page, (title, names) in REFERENCE.items():
+        overview.append(f"- [{title}]({page}): {', '.join(f'`{name}`' for name in names)}")
+        parts = [f"# {title}\n"]
+        for name in names:
+            made = getattr(navbake, name, None)
+            place = f"navbake.{name}"  # of a module
+            if hasattr(made, "__qualname__"):
+                place = f"{made.__module__}.{made.__qualname__}"
+            parts.append(f"::: {place}\n    options: {{ heading: navbake.{name} }}\n")
+        pages[page] = "\n".join(parts)
+    pages["reference.md"] = "\n".join(overview) + "\n"
+    return pages
 
 
 def build_site(root: Path, folder: Path) -> None:
@@ -118,7 +158,18 @@ def build_site(root: Path, folder: Path) -> None:
     settings = yaml.safe_load((root / CONFIG).read_text(encoding="utf-8"))
     collect_pages(root, root / settings["docs_dir"])
     program = [sys.executable, "-m", "zensical", "build", "--strict", "--clean", "-f", str(CONFIG)]
-    done = subprocess.run(program, cwd=root, capture_output=True, text=True, check=False)
+    # mkdocs.yml names an extension beside this script
+    search_path = os.pathsep.join(
+        [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+    )
+    done = subprocess.run(
+        program,
+        cwd=root,
+        env={**os.environ, "PYTHONPATH": search_path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     if done.returncode:
         text = re.sub(r"\x1b\[[\d;]*m", "", f"{done.stdout}{done.stderr}")  # colours
         sys.exit(text.partition("Traceback")[0])

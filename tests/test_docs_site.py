@@ -11,7 +11,7 @@ import pytest
 
 import make_docs
 from browser import needs_browser, open_browser
-from make_docs import CONFIG, FILES, OUTSIDE, build_site
+from make_docs import CONFIG, FILES, OUTSIDE, REFERENCE, build_site
 from project_paths import ROOT
 
 pytest.importorskip("zensical", reason="zensical is not installed")
@@ -62,7 +62,7 @@ def test_a_page_that_is_left_out_is_an_error(tmp_path):
 def test_every_page_of_docs_is_on_the_site(site):
     pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"README"}
     pages |= {"index", "pages", "contributing", "changelog", "security"}
-    pages |= {"examples", "reference", "404"}
+    pages |= {"examples", "reference", "404", *(page.partition(".")[0] for page in REFERENCE)}
     assert {path.stem for path in site.glob("*.html")} == pages
 
 
@@ -107,10 +107,37 @@ def test_the_search_finds_the_words_of_the_field(site, word, page):
     assert page in {e["location"].partition("#")[0] for e in entries if word in e["text"]}
 
 
+def test_the_changelog_is_no_hit_of_the_search(site):
+    entries = json.loads((site / "search.json").read_text(encoding="utf-8"))["items"]
+    pages = {entry["location"].partition("#")[0] for entry in entries}
+    assert "changelog.html" not in pages
+    assert {"index.html", "tensors.html", "reference_tensors.html"} <= pages
+
+
 def test_the_reference_has_every_public_name(site):
-    text = (site / "reference.html").read_text(encoding="utf-8")
-    for name in ("PathFinder.find_path", "bake", "SceneGrid2D", "spl", "ConfigError"):
+    for page, name in (
+        ("agents", "PathFinder.find_path"),
+        ("bake", "bake"),
+        ("grids", "SceneGrid2D"),
+        ("episodes", "spl"),
+        ("errors", "ConfigError"),
+    ):
+        text = (site / f"reference_{page}.html").read_text(encoding="utf-8")
         assert f'{name}"' in text, name
+        assert f"reference_{page}.html" in (site / "reference.html").read_text(encoding="utf-8")
+
+
+def test_the_reference_has_the_text_of_fields_and_no_special_methods(site):
+    texts = [path.read_text(encoding="utf-8") for path in site.glob("reference_*.html")]
+    assert any("Heading at the start" in text for text in texts)  # a comment beside the field
+    for text in texts:
+        assert not re.search(r'id="navbake\.[\w.]*\.__\w+__"', text)
+
+
+def test_a_public_name_that_is_on_no_page_of_the_reference_is_an_error(tmp_path, monkeypatch):
+    monkeypatch.setitem(make_docs.REFERENCE, "reference_tensors.md", ("Tensors", ()))
+    with pytest.raises(SystemExit, match="`REFERENCE` lacks tensors"):
+        build_site(copy_sources(tmp_path), tmp_path / "site")
 
 
 @needs_browser

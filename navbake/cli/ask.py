@@ -231,7 +231,10 @@ def path(
         if planned_path:
             say(f"length  {planned_path.length:.3f} m")
             say(f"cost    {planned_path.cost:.3f}")
-            say(f"time    {planned_path.seconds:.1f} s")
+            from navbake.navgrid.links import DEFAULT_SPEED  # loads numpy
+
+            speed_text = "" if finder.agent else f" (at {DEFAULT_SPEED:g} m/s)"
+            say(f"time    {planned_path.seconds:.1f} s{speed_text}")
             say(f"rooms   {', '.join(planned_path.rooms) or '-'}")
             say(f"doors   {', '.join(planned_path.doors) or '-'}")
             if nav_grid.links:
