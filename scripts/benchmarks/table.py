@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from benchmarks.measure import Result, Row
 
-HEADER = f"{'row':<18}{'job':<42}{'min':>10}{'median':>10}{'ratio':>9}{'peak':>10}  asked for"
+HEADER = f"{'row':<18}{'job':<42}{'min':>10}{'median':>10}{'ratio':>11}{'peak':>10}  asked for"
 FIGURES_BEGIN = "<!-- written by scripts/bench.py --write -->\n"
 FIGURES_END = "<!-- end of what scripts/bench.py writes -->\n"
 
@@ -110,7 +110,7 @@ def format_row(name: str, row: Row, results: Sequence[Result]) -> str:
 def _format_job(name: str, result: Result, ratio: str, limits: str) -> str:
     peak = "" if result.peak is None else f"{result.peak:,.0f} MiB"
     times = f"{format_seconds(result.least):>10}{format_seconds(result.median):>10}"
-    return f"{name:<18}{result.name:<42}{times}{ratio:>9}{peak:>10}  {limits}".rstrip()
+    return f"{name:<18}{result.name:<42}{times}{ratio:>11}{peak:>10}  {limits}".rstrip()
 
 
 def format_seconds(seconds: float) -> str:
