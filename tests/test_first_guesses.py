@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 import navbake
-from navbake import PathFinder, samples
+from navbake import PathFinder, VoxelFinder, VoxelGrid, samples
 from navbake.episodes import make_episodes
 from navbake.errors import ConfigError, FormatError, QueryError
+from navbake.tensors import make_tensors, sample
 from project_paths import GOLDEN
 
 GRID = navbake.load(GOLDEN / "apartment.grid.json.gz")
+VOXELS = VoxelGrid(values=np.zeros((8, 8, 8), dtype=np.bool_), origin=(0.0, 0.0, 0.0), res=0.1)
 APARTMENT = str(samples.path("apartment"))
 
 
@@ -29,6 +32,28 @@ APARTMENT = str(samples.path("apartment"))
         (lambda: PathFinder(GRID).room_of("sopha"), QueryError, "did you mean 'sofa'"),
         (lambda: navbake.make_episodes, AttributeError, r"write navbake\.episodes\.make_episodes"),
         (lambda: PathFinder(GRID).snap_point, AttributeError, r"write `snap\(position\)`"),
+        (lambda: PathFinder(GRID).num_islands, AttributeError, r"write `islands\.count`"),
+        (lambda: PathFinder(VOXELS), QueryError, "expected a navigation grid.* got a VoxelGrid"),
+        (
+            lambda: VoxelFinder(VOXELS, 0.1).random_point(0),
+            QueryError,
+            r"expected a numpy\.random\.Generator, or None, got 0",
+        ),
+        (
+            lambda: GRID.tensors(goals=(3.0, 2.0, 0.0)),
+            QueryError,
+            r"write goals=\[\(3\.0, 2\.0, 0\.0\)\]",
+        ),
+        (
+            lambda: make_tensors([GRID, GRID], goals=[(1, 3, 0)]),
+            QueryError,
+            "a list of goals for each of 2 grids",
+        ),
+        (
+            lambda: sample(GRID.tensors(), np.zeros((1, 3)), room="kitchen"),
+            QueryError,
+            r"write t\.rooms\[scene\]\.index\('kitchen'\) \+ 1",
+        ),
         (
             lambda: PathFinder(GRID).fly_to,
             AttributeError,

@@ -201,12 +201,14 @@ def path(
     if opened or closed:
         state_by_link = dict.fromkeys(opened or (), "open") | dict.fromkeys(closed or (), "closed")
         nav_grid = nav_grid.with_links(state_by_link)
-    grid_as_in_file = nav_grid
-    nav_grid = _adapt_grid(grid_as_in_file, doors, radius)
-    finder = navbake.PathFinder(nav_grid, agent=agent)
+    # places are checked before anything is compiled
     start_position: Any = (
         options.position_of_place(nav_grid, start_place, "--from") if start_place else None
     )
+    goal_positions = [options.position_of_place(nav_grid, place, "--to") for place in goal_places]
+    grid_as_in_file = nav_grid
+    nav_grid = _adapt_grid(grid_as_in_file, doors, radius)
+    finder = navbake.PathFinder(nav_grid, agent=agent)
     if start_position is None:
         name = start.removeprefix("room:")
         room_middles = [room.centroid for room in nav_grid.rooms if name in (room.id, room.name)]
@@ -215,7 +217,6 @@ def path(
         )
         if start_position is None:
             raise QueryError(f"no agent can stand in room {name!r}")
-    goal_positions = [options.position_of_place(nav_grid, place, "--to") for place in goal_places]
     goal: Any = goals[0] if is_named else goal_positions
     planned_path = finder.find_path(start_position, goal, by=by, smooth=smooth)
     reason = None if planned_path else finder.why_not(start_position, goal)

@@ -18,6 +18,7 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
+from navbake.generators import as_generator
 from navbake.lengths import format_position
 from navbake.navgrid.cells import check_level
 from navbake.runtime.flat_grid import FlatGrid, RealNumber, check_distance
@@ -377,27 +378,6 @@ def _describe_distances(min_distance: float, max_distance: float) -> dict[str, o
 def _describe_outdoors(outdoors: bool) -> dict[str, object]:
     """Return the limit that an error states where places outdoors are left out."""
     return {} if outdoors else {"outdoors": False}
-
-
-def as_generator(rng: object) -> Generator:
-    """Return a random generator: `rng` itself, or a new one if it is None.
-
-    Raises:
-        QueryError: `rng` is neither a numpy Generator nor None.
-    """
-    if rng is None:
-        return np.random.default_rng()
-    if not isinstance(rng, Generator):
-        expected = "a numpy.random.Generator, or None"
-        hint = "make one with numpy.random.default_rng"
-        raise QueryError(
-            f"expected {expected}, got {rng!r}: {hint}",
-            key="rng",
-            value=rng,
-            expected=expected,
-            hint=hint,
-        )
-    return rng
 
 
 # ---------------------------------------------------------------- crowds

@@ -40,14 +40,23 @@ ManyPositions: TypeAlias = Sequence[Sequence[float]]
 
 # name that users may expect -> the method that does this
 _SUGGESTIONS = {
+    "closest_obstacle_surface_point": "nearest_obstacle(position)",
     "distance": "distances(starts, goal)",
+    "distance_to_closest_obstacle": "clearance(position)",
     "geodesic_distance": "distances(starts, goal)",
+    "get_bounds": "bounds",
+    "get_island": "island_at(position)",
     "get_random_navigable_point": "random_point(rng)",
+    "get_random_navigable_point_near": "random_point_near(rng, position, radius)",
+    "get_topdown_view": "top_down(level, metres_per_pixel)",
+    "island_radius": "island_area(island)",
+    "num_islands": "islands.count",
     "random_navigable_point": "random_point(rng)",
     "random_points": "random_point(rng, count)",
     "is_free": "is_navigable(position)",
     "shortest_path": "find_path(start, goal)",
     "snap_point": "snap(position)",
+    "try_step_no_sliding": "try_step(start, end, slide=False)",
 }
 
 
@@ -134,6 +143,14 @@ class PathFinder:
             new_grid = resolve("navbake.formats.navgrid:read_navgrid")(grid)
         else:
             new_grid = grid
+        if not hasattr(new_grid, "levels"):
+            expected = "a navigation grid, as `navbake.bake` makes it, or its file"
+            raise QueryError(
+                f"expected {expected}, got a {type(new_grid).__name__}",
+                key="grid",
+                value=new_grid,
+                expected=expected,
+            )
         self._search = Search(new_grid, cut_corners=self._cut_corners, agent=self._agent)
         self.grid = self._search.grid
 

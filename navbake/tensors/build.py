@@ -295,9 +295,22 @@ def _check_grids(
         raise QueryError(f"expected grids, at least one grid, got {grid_list}")
     if isinstance(goals, str):
         raise QueryError(f"expected a list of {noun}, got {goals!r}: write {noun}=[{goals!r}]")
+    if len(goals) and all(isinstance(goal, int | float | np.number) for goal in goals):
+        position = tuple(np.asarray(goals, dtype=np.float64).tolist())
+        raise QueryError(
+            f"expected a list of {noun}, got one position {position}: write {noun}=[{position}]"
+        )
     goals_of_grids: list[Any] = [goals] if is_single else list(goals) or [()] * len(grid_list)
+    is_list_by_grid = [
+        isinstance(goals_of_grid, Sequence | np.ndarray) and not isinstance(goals_of_grid, str)
+        for goals_of_grid in goals_of_grids
+    ]
+    if len(goals_of_grids) != len(grid_list) or not all(is_list_by_grid):
+        expected = f"a list of {noun} for each of {len(grid_list)} grids"
+        hint = f"write {noun}=[[…], […]], all equally long"
+        raise QueryError(f"expected {expected}, got {goals!r}: {hint}")
     num_goals_of_grids = [len(goals_of_grid) for goals_of_grid in goals_of_grids]
-    if len(num_goals_of_grids) != len(grid_list) or len(set(num_goals_of_grids)) != 1:
+    if len(set(num_goals_of_grids)) != 1:
         expected = f"as many {noun} for each of {len(grid_list)} grids"
         raise QueryError(f"expected {expected}, got {num_goals_of_grids}")
     return grid_list, goals_of_grids

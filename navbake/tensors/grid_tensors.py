@@ -396,6 +396,11 @@ def check_numbers(
     Raises:
         QueryError: they are no integers, or don't fit the shape.
     """
+    if isinstance(numbers, str):
+        hint = ""
+        if label == "room":
+            hint = f": write t.rooms[scene].index({numbers!r}) + 1"
+        raise QueryError(f"expected an integer or integers as {label}, got {numbers!r}{hint}")
     if isinstance(numbers, int | Sequence | np.ndarray | np.integer):
         numbers = _make_array(tensors, numbers, None)
     if not hasattr(numbers, "dtype") or not tensors.xp.isdtype(numbers.dtype, "integral"):

@@ -830,8 +830,8 @@ def sample(
         u: numbers in [0, 1), shape (..., 3): the first chooses the cell, the others the x and y in
             it. 0.5 is the cell's centre, where the agent's radius fits for certain.
             Shape (..., 1) returns centres.
-        room: take cells of this room only, by its number (see `room`); an integer or integers of
-            shape (...).
+        room: take cells of this room only, by its number (see `room`), which is
+            ``t.rooms[scene].index(ID) + 1``; an integer or integers of shape (...).
         min_clearance: take cells with at least this `clearance` only [m]; one number.
         reachable_from: take cells of the island that this position is on only, world x, y, z, shape
             (3,); or (..., 3), a position for each place [m].

@@ -14,6 +14,7 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
+from navbake.generators import as_generator
 from navbake.known_names import check_choice
 from navbake.lazy import lazy, resolve
 from navbake.lengths import format_position
@@ -420,13 +421,13 @@ class VoxelFinder:
             World x, y, z [m], float64: shape (3,), or (count, 3).
 
         Raises:
-            QueryError: There is no such place or island.
+            QueryError: There is no such place or island, or `rng` is no Generator.
 
         Example:
             >>> rng = np.random.default_rng(0)
             >>> start, goal = finder.random_point(rng, 2, island=1)
         """
-        generator = np.random.default_rng() if rng is None else rng
+        generator = as_generator(rng)
         if island is not None:
             self._check_island(island)
         mask = self.free if island is None else self.islands.labels == island

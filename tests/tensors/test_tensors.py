@@ -543,7 +543,7 @@ def test_several_grids_need_a_scene_and_goals_for_each():
     grids = [level_from("..."), level_from("....")]
     with pytest.raises(QueryError, match=r"expected a scene_id, 0 to 1"):
         tensors.floor(tensors.make_tensors(grids), np.zeros(3))
-    with pytest.raises(QueryError, match="as many goals for each of 2 grids"):
+    with pytest.raises(QueryError, match="a list of goals for each of 2 grids"):
         tensors.make_tensors(grids, goals=[[(0, 0, 0)]])
     with pytest.raises(QueryError, match="at least one grid"):
         tensors.make_tensors([])
