@@ -16,6 +16,7 @@ from navbake.views.plot import (
     DPI,
     HEADING_POINTS,
     MAX_WIDTH,
+    MIN_WIDTH,
     TEXT_COLOR,
     TICK_POINTS,
     TITLE_POINTS,
@@ -80,23 +81,27 @@ def draw_flight(voxels: VoxelGrid, flight: FlightPath, title: str = "") -> bytes
     scale = min((MAX_WIDTH - 2.0 * MARGIN) / widest, MAX_MAP_HEIGHT / tallest)
     plan_height = (y_max - y_min) * scale
     section_height = (z_max - z_min) * scale
+    width = max(2.0 * MARGIN + widest * scale, MIN_WIDTH)
     height = HEADING_HEIGHT + plan_height + GAP + section_height + BOTTOM
     heading = f"{flight.length:.2f} m, radius {flight.radius:g} m"
-    heading = wrap_text(f"{title}: {heading}" if title else heading, MAX_WIDTH)
+    heading = wrap_text(f"{title}: {heading}" if title else heading, width)
     font_families, _ = choose_fonts(heading)
     with rc_context({"font.family": font_families, "text.parse_math": False}):
-        figure = Figure(figsize=(MAX_WIDTH, height), facecolor="white", dpi=DPI)
+        figure = Figure(figsize=(width, height), facecolor="white", dpi=DPI)
         FigureCanvasAgg(figure)
         figure.text(
             0.01, 1.0 - 0.1 / height, heading, va="top", fontsize=HEADING_POINTS,
             fontweight="bold", color=TEXT_COLOR,
         )  # fmt: skip
 
-        def add_map(bottom: float, width: float, map_height: float) -> Axes:
-            """Add a map; its place and size are in metres and inches as in the layout above."""
+        def add_map(bottom: float, map_width: float, map_height: float) -> Axes:
+            """Add a map; `map_width` is in metres, the others in inches."""
             place = (
-                MARGIN / MAX_WIDTH, bottom / height, width * scale / MAX_WIDTH, map_height / height,
-            )  # fmt: skip
+                MARGIN / width,
+                bottom / height,
+                map_width * scale / width,
+                map_height / height,
+            )
             return figure.add_axes(place)
 
         plan = add_map(BOTTOM + section_height + GAP, x_max - x_min, plan_height)

@@ -31,7 +31,7 @@ def test_writes_a_path_and_distances(arena, run):
     assert facts["length"] == pytest.approx(length)
     picture = np.asarray(Image.open(io.BytesIO((arena / "a.png").read_bytes())).convert("RGB"))
     is_tube = (picture[..., 2] - picture[..., 0].astype(int)) > 60
-    assert picture.shape[1] == 1245 and is_tube.sum() > 500
+    assert min(picture.shape[:2]) > 600 and is_tube.sum() > 500
     with np.load(arena / "a.npz") as archive:
         assert archive["is_signed"] and archive["distances"].min() < 0
 
