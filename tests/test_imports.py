@@ -41,7 +41,7 @@ DOORS = {
     "fcl": ("baker.occupancy", "verifier"),
     "trimesh": ("baker.readers", "verifier", "views.viewer"),
     "pxr": ("baker.readers.usd", "formats.scene_files"),
-    "matplotlib": ("views.plot",),
+    "matplotlib": ("views.flight", "views.plot"),
     "typer": ("cli",),
     "rich": ("cli",),
 }
