@@ -6,9 +6,10 @@ that module is given as `xp`; they have no branches on values.
 
 Distances [m] are those of `PathFinder` over cells, from the cell of a position to the nearest place
 of the goal. If no agent can stand in that cell, the distance from the nearest free cell counts,
-plus the distance to that cell. Those of flights are `VoxelFinder`'s over voxels. Success and SPL
-use the same distances. An object that has to be reached (task ``reach``) also has to be faced, so
-there each position needs a heading.
+plus the distance to that cell. Positions count on the floors that they are over, and lengths are
+seen from above, as those distances are. Those of flights are `VoxelFinder`'s over voxels. Success
+and SPL use the same distances. An object that has to be reached (task ``reach``) also has to be
+faced, so there each position needs a heading.
 """
 
 from __future__ import annotations
@@ -49,6 +50,7 @@ from navbake.formats.npz import open_archive
 from navbake.formats.source import read_bytes, unpack
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.agents import fit_grid
+from navbake.runtime.no_path import describe_outside
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.places import snap_to_cells
 from navbake.types import Bool, Float, Json, Vector3
@@ -116,12 +118,13 @@ def soft_spl(distance: Array, shortest: Array, length: Array, *, xp: ModuleType 
         xp: the arrays' module: numpy, ``jax.numpy`` or ``torch``.
 
     Returns:
-        The SoftSPL, 0 to 1, shape (...). Where l is 0, it is 1 if d is 0, else 0. NaN where l or d
-        is NaN.
+        The SoftSPL, 0 to 1, shape (...). Where l is 0, it is 1 if d is 0, else 0. NaN where l is
+        not finite, or d is NaN.
 
     Source: Datta et al., "Integrating Egocentric Localization" (2020).
     """
-    positive_shortest = xp.where(shortest > 0, shortest, xp.ones_like(shortest))
+    is_positive = xp.isfinite(shortest) & (shortest > 0)
+    positive_shortest = xp.where(is_positive, shortest, xp.ones_like(shortest))
     share_without_path = xp.where(distance > 0, 1.0, distance)
     remaining_share = xp.where(shortest > 0, distance / positive_shortest, share_without_path)
     progress = xp.where(remaining_share > 1, xp.zeros_like(remaining_share), 1.0 - remaining_share)
@@ -299,10 +302,11 @@ class EpisodeMeasures(ABC):
         self.radius = episode.goals[0].radius
         self._stops = self._find_stops()
         self._num_reached = 0  # how many of the stops the agent has reached
-        self._positions = [np.array(episode.start)]
+        self._positions = list[Float]()
         self._headings = [episode.heading]  # fewer than positions if some are unknown
         self._times = list[float]()
-        self._distances = self._add_distances(self._positions[0][None], "start")
+        self._distances = list[float]()
+        self._add_positions(np.array([episode.start]), "start")
         self.shortest = self._distances[0]
 
     @abstractmethod
@@ -312,6 +316,21 @@ class EpisodeMeasures(ABC):
         Raises:
             QueryError: no agent can get there.
         """
+
+    @abstractmethod
+    def _to_ground(self, new_positions: Float) -> Float:
+        """Move positions to where they are measured: an agent's to the floor that it stands on.
+
+        Args:
+            new_positions: world x, y, z [m], finite, shape (n, 3).
+
+        Returns:
+            World x, y, z [m], shape (n, 3).
+        """
+
+    @abstractmethod
+    def _measure_length(self, positions: Float) -> float:
+        """Compute the length of the way through positions [m], as distances are measured."""
 
     @abstractmethod
     def _measure_distances(self, new_positions: Float, position_label: str) -> Float:
@@ -336,6 +355,18 @@ class EpisodeMeasures(ABC):
     @abstractmethod
     def _coverage(self, positions: Float) -> float:
         """Return the share of the start's island that the agent has covered, by area."""
+
+    def _describe_place(self, positions: Float, is_inside: Bool, position_label: str) -> str:
+        """Say which position is the first that isn't inside.
+
+        Args:
+            positions: world x, y, z [m], shape (n, 3).
+            is_inside: whether each position is in the grid, shape (n,); not for all.
+            position_label: what the text calls a position.
+        """
+        row = int(np.argmin(is_inside))
+        coordinates = ", ".join(f"{value:g}" for value in positions[row])
+        return f"{position_label} {row} of episode {self.episode.id!r}, {coordinates}"
 
     @property
     def distance(self) -> float:
@@ -384,22 +415,20 @@ class EpisodeMeasures(ABC):
             QueryError: a position is not finite, or in no cell.
         """
         new_positions = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
-        self._distances += self._add_distances(new_positions, "position")
-        self._positions += list(new_positions)
+        self._add_positions(new_positions, "position")
         if times is not None:
             self._times += [float(time) for time in times]
         if headings is not None:
             self._headings += [float(heading) for heading in headings]
 
-    def _add_distances(self, new_positions: Float, position_label: str) -> list[float]:
-        """Compute the distances to the goal from the next positions, and count the reached stops.
+    def _add_positions(self, new_positions: Float, position_label: str) -> None:
+        """Add the next positions and their distances to the goal, and count the reached stops.
+
+        The distance of a position is the length of the path through all stops not reached yet [m].
 
         Args:
             new_positions: world x, y, z of the positions [m], shape (n, 3).
             position_label: what errors call a position.
-
-        Returns:
-            For each position, the length of the path through all stops not reached yet [m].
 
         Raises:
             QueryError: a position is not finite, or in no cell.
@@ -408,21 +437,22 @@ class EpisodeMeasures(ABC):
         if len(nonfinite_rows):
             place_text = f"{position_label} {nonfinite_rows[0]} of episode {self.episode.id!r}"
             raise QueryError(f"expected finite numbers at {place_text}")
-        distances_of_stops = self._measure_distances(new_positions, position_label)
+        ground_positions = self._to_ground(new_positions)
+        self._positions += list(ground_positions)
+        distances_of_stops = self._measure_distances(ground_positions, position_label)
         distances_after_stop = self._stops.remaining_lengths
         if not len(distances_of_stops):
-            return [math.nan] * len(new_positions)
+            self._distances += [math.nan] * len(new_positions)
+            return
         last_stop = len(distances_of_stops) - 1
-        distances = []
         for stop_distances in distances_of_stops.T.tolist():
             while (
                 stop_distances[self._num_reached] <= self.radius and self._num_reached < last_stop
             ):
                 self._num_reached += 1
-            distances.append(
+            self._distances.append(
                 stop_distances[self._num_reached] + distances_after_stop[self._num_reached]
             )
-        return distances
 
     def scores(self, *, stopped: bool) -> Json:
         """Compute the measures of the episode up to the last position.
@@ -439,7 +469,7 @@ class EpisodeMeasures(ABC):
         """
         positions = np.array(self._positions)
         stop_positions = self._stops.places
-        length = np.array(path_length(positions))
+        length = np.array(self._measure_length(positions))
         distance = np.array(self.distance)
         shortest = np.array(self.shortest)
         coverage = math.nan if self.share is None else self._coverage(positions)
@@ -484,7 +514,8 @@ class EpisodeMeasures(ABC):
 class Measures(EpisodeMeasures):
     """Measures one episode while an agent acts: add its positions, then ask for the scores.
 
-    The episode's start is the first position.
+    The episode's start is the first position. Positions may be at any height over the floor that
+    the agent stands on, as those of MINOS, 0.545 m above it, are: they count on the floor.
 
     Args:
         finder: a PathFinder on the set's grid, inflated for the set's agent.
@@ -511,10 +542,27 @@ class Measures(EpisodeMeasures):
             raise QueryError(f"no agent can stand at the goal of episode {self.episode.id!r}")
         return stops
 
+    def _to_ground(self, new_positions: Float) -> Float:
+        flat = self.finder.search.flat
+        cells = flat.cells_at(new_positions)
+        is_inside = cells >= 0
+        ground_positions = new_positions.copy()
+        ground_positions[is_inside, 2] = flat.floor_heights(cells[is_inside])
+        return ground_positions
+
+    def _measure_length(self, positions: Float) -> float:
+        # seen from above, as the distances of `PathFinder` are: with its height, the shortest path
+        # over stairs would be longer than the shortest path
+        return path_length(positions * (1.0, 1.0, 0.0))
+
     def _measure_distances(self, new_positions: Float, position_label: str) -> Float:
         flat = self.finder.search.flat
         cells = flat.cells_at(new_positions)
-        _check_all_inside(cells >= 0, new_positions, position_label, self.episode.id, "grid")
+        outside_positions = new_positions[cells < 0]
+        if len(outside_positions):
+            place_text = self._describe_place(new_positions, cells >= 0, position_label)
+            problem = describe_outside(self.finder.grid, outside_positions[0])
+            raise QueryError(f"{place_text}, {problem}")
         if not self._stops.distance_fields:
             return np.empty((0, len(new_positions)))
         free_cell_distances = np.zeros(len(new_positions))  # to the nearest free cell [m]
@@ -635,10 +683,18 @@ class FlightMeasures(EpisodeMeasures):
             raise QueryError(f"the ball doesn't get to the goal of episode {self.episode.id!r}")
         return Stops(self.episode.goals, [np.array(positions)], [costs])
 
+    def _to_ground(self, new_positions: Float) -> Float:
+        return new_positions
+
+    def _measure_length(self, positions: Float) -> float:
+        return path_length(positions)
+
     def _measure_distances(self, new_positions: Float, position_label: str) -> Float:
         lower, upper = self.finder.voxels.bounds
         is_inside = ((new_positions >= lower) & (new_positions < upper)).all(axis=1)
-        _check_all_inside(is_inside, new_positions, position_label, self.episode.id, "voxels")
+        if not is_inside.all():
+            place_text = self._describe_place(new_positions, is_inside, position_label)
+            raise QueryError(f"{place_text}, lies beside the voxels")
         distances = self._measure_free_distances(new_positions)
         blocked_indices = np.flatnonzero(~self.finder.is_free(new_positions))
         if len(blocked_indices):
@@ -675,26 +731,6 @@ class FlightMeasures(EpisodeMeasures):
 
     def _coverage(self, positions: Float) -> float:
         return math.nan  # no flight explores
-
-
-def _check_all_inside(
-    is_inside: Bool, positions: Float, position_label: str, episode_id: str, grid_noun: str
-) -> None:
-    """Raise a QueryError that names the first position that lies beside the grid, if one does.
-
-    Args:
-        is_inside: whether each position is in the grid, shape (n,).
-        positions: world x, y, z [m], shape (n, 3).
-        position_label: what the error calls a position.
-        episode_id: the id of the episode.
-        grid_noun: what the error calls the grid.
-    """
-    if is_inside.all():
-        return
-    row = int(np.argmin(is_inside))
-    coordinates = ", ".join(f"{value:g}" for value in positions[row])
-    place_text = f"{position_label} {row} of episode {episode_id!r}, {coordinates}"
-    raise QueryError(f"{place_text}, lies beside the {grid_noun}")
 
 
 class Trajectory(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -828,7 +864,13 @@ def score_set(
     rows = []
     for episode in episodes:
         if episode.scene not in finder_by_scene:
-            raise QueryError(f"no grid of {episode.scene!r}, the scene of episode {episode.id!r}")
+            scenes_text = ", ".join(map(repr, sorted(finder_by_scene)))
+            scene = min(finder_by_scene, default="NAME")
+            raise QueryError(
+                f"no grid of {episode.scene!r}, the scene of episode {episode.id!r}, among those "
+                f"of {scenes_text}: a set of another program needs "
+                f"`--scene {scene}={episode.scene}` (`scenes` of read_episodes)"
+            )
         trajectory = trajectory_by_id[episode.id]
         times = trajectory.times
         if times is not None and len(times) != len(trajectory.positions):

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from grid_maps import house_from, level_from, random_house, room
-from navbake import PathFinder
+from navbake import PathFinder, load
 from navbake.episodes import (
     Episode,
     EpisodeSet,
@@ -37,6 +38,7 @@ from navbake.scores import (
     summarize,
     wilson_interval,
 )
+from project_paths import GOLDEN
 
 NAN, INF = math.nan, math.inf
 MAP = """
@@ -86,7 +88,7 @@ def test_1000_random_trajectories_are_scored_as_the_formulas_have_it():
     assert 0.1 < np.mean([row["success"] for row in rows]) < 0.9
     for row, e, t in zip(rows, content.episodes, trajectories, strict=True):
         way = [e.start, *t.positions]
-        p = sum(math.dist(a, b) for a, b in pairwise(way))
+        p = sum(math.dist(a[:2], b[:2]) for a, b in pairwise(way))  # seen from above
         shortest, d = e.distance, row["distance"]
         if finder.is_navigable(way[-1]):
             assert d == finder.distances(way[-1], e.goals[0].position, weighted=False)
@@ -234,6 +236,53 @@ def test_an_empty_trajectory_stays_at_the_start():
     assert math.isnan(found["time"])
     at_goal = run(episode(goal=(0.05, -0.05, 0.0)), [])
     assert (at_goal["spl"], at_goal["soft_spl"], at_goal["shortest"]) == (1.0, 1.0, 0.0)
+
+
+def test_positions_over_the_floor_count_on_it():
+    # those of MINOS are 0.545 m above the floor
+    way = [(0.05 + 0.1 * k, -0.05, 0.0) for k in range(10)]
+    raised_start = episode(start=(0.05, -0.05, 0.545))
+    on_floor = run(episode(), way)
+    assert on_floor["spl"] == pytest.approx(1.0) and on_floor["length"] == pytest.approx(0.9)
+    raised_way = [(x, y, 0.545) for x, y, _ in way]
+    np.testing.assert_equal(run(raised_start, way), on_floor)
+    np.testing.assert_equal(run(raised_start, raised_way), on_floor)
+    assert run(raised_start, [])["length"] == 0.0
+    assert run(raised_start, [way[0]])["length"] == 0.0
+
+
+def test_the_shortest_path_over_stairs_has_all_of_the_spl():
+    grid = load(GOLDEN / "house.grid.json.gz")
+    finder = PathFinder(grid)
+    content = make_episodes(grid, "point", count=30, seed=1)
+    assert any(e.levels[0] != e.levels[1] for e in content.episodes)
+    runs = [
+        Trajectory(
+            episode=e.id,
+            positions=finder.find_path(e.start, e.goals[0].position).positions.tolist(),
+        )
+        for e in content.episodes
+    ]
+    assert {row["spl"] for row in score_set(content, runs, grid)} == {1.0}
+
+
+def test_without_a_path_there_is_no_progress_and_no_warning():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for distance in (INF, 1.0, NAN):
+            assert math.isnan(soft_spl(np.array(distance), np.array(INF), np.array(2.0)))
+
+
+@pytest.mark.parametrize(
+    ("place", "problem"),
+    [
+        ((0.55, -0.05, -0.65), "position 0 of episode '0', 0.55, -0.05, -0.65, lies below every"),
+        ((9.0, -0.05, 0.0), "lies beside the grid"),
+    ],
+)
+def test_positions_in_no_cell_say_where_they_lie(place, problem):
+    with pytest.raises(QueryError, match=problem):
+        run(episode(), [place])
 
 
 def test_starting_elsewhere_costs_the_way_there():

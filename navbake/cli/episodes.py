@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Annotated, Any
@@ -282,6 +283,9 @@ def score(
         "METRES", "Distance at which nDTW counts a point as missed [m].", default=3.0
     ),
     seed: int = option("N", "Seed of the confidence intervals.", default=0, min=0),
+    scene: list[str] | None = option(
+        "NAME=ID", "What a set of another program calls a scene. May be repeated."
+    ),
     partial: bool = flag("--partial", "Leave out episodes without a trajectory."),
     force: bool = flag("--force", "Score on another grid, in other voxels, or for another agent."),
     output: Path | None = option(
@@ -300,7 +304,7 @@ def score(
     from navbake.episodes import read_episodes  # loads numpy
     from navbake.episodes.episode import FLY_TASK
 
-    episode_set = read_episodes(content)
+    episode_set = read_episodes(content, options.read_pairs(scene, "--scene", "NAME=ID"))
     if not grids:
         file_names = [entry.file for entry in episode_set.header.grids if entry.file]
         path_by_name = {name: content.parent / name for name in file_names}
@@ -312,8 +316,9 @@ def score(
         noun = "voxels" if are_flights else "grids"
         raise QueryError(f"expected the {noun} of {content}, which names none: give them")
     load = navbake.load_voxels if are_flights else navbake.load
+    loaded_grids: list[Any] = [load(file) for file in grids]
     rows = scores.score_set(
-        episode_set, scores.read_trajectories(trajectories), [load(file) for file in grids],
+        episode_set, scores.read_trajectories(trajectories), loaded_grids,
         threshold=threshold, force=force, partial=partial,
     )  # fmt: skip
     groups = scores.summarize(rows, by, seed=seed)
@@ -330,10 +335,59 @@ def score(
             say(f"{group['group']}: {group['episodes']} episodes")
             intervals = [(key, group[key]) for key in scores.MEAN_FIELDS if group[key].known]
             table_rows = [
-                (measure, f"{interval.mean:.3f}", f"{interval.low:.3f} to {interval.high:.3f}")
+                (
+                    measure,
+                    f"{interval.mean:.3f}",
+                    f"{interval.low:.3f} to {interval.high:.3f}",
+                    interval.known,
+                )
                 for measure, interval in intervals
             ]
-            print_tables(make_table(("measure", "mean", "95 %"), table_rows))
+            print_tables(make_table(("measure", "mean", "95 %", "of"), table_rows, ("of",)))
+    if force and not are_flights:
+        warn_of_other_radius(episode_set, loaded_grids)
+    if not are_flights:
+        warn_of_unreachable(episode_set, rows, loaded_grids)
     if output is not None:
         headings = list(rows[0]) if rows else ["episode"]
         options.write_output(encode_csv([headings, *(row.values() for row in rows)]), output)
+
+
+def warn_of_other_radius(episode_set: EpisodeSet, grids: list[NavGrid]) -> None:
+    """Warn if grids that are taken as they are aren't inflated for the set's agent."""
+    agent = episode_set.header.agent
+    agent_text = "the set names no agent"
+    if agent is not None:
+        agent_text = f"the set's agent has a radius of {agent.radius:g} m"
+    radii = sorted({grid.radius for grid in grids})
+    if agent is None or any(abs(radius - agent.radius) > 1e-6 for radius in radii):
+        radii_text = ", ".join(f"{radius:g}" for radius in radii)
+        problem = f"--force takes the grids as they are, for a radius of {radii_text} m"
+        hint = "`navbake inflate` makes one for a larger agent"
+        print_warnings([f"{problem}, and {agent_text}: {hint}"])
+
+
+def warn_of_unreachable(
+    episode_set: EpisodeSet, rows: list[dict[str, Any]], grids: list[NavGrid]
+) -> None:
+    """Warn of episodes whose goals no path reaches, and say why there is none for the first.
+
+    Args:
+        episode_set: the set.
+        rows: the measures of its episodes, see `navbake.scores.score_set`.
+        grids: the set's grids.
+    """
+    unreachable_ids = [row["episode"] for row in rows if math.isinf(row["shortest"])]
+    if not unreachable_ids:
+        return
+    from navbake.episodes.episode import list_goal_positions, scene_of  # loads numpy
+
+    [episode] = [item for item in episode_set.episodes if item.id == unreachable_ids[0]]
+    [grid, *_] = [item for item in grids if scene_of(item) == episode.scene]
+    goals: Any = list_goal_positions(episode) or f"room:{episode.goals[0].room}"
+    reason = navbake.PathFinder(grid).why_not(episode.start, goals)
+    verb = "has" if len(unreachable_ids) == 1 else "have"
+    count_text = f"{len(unreachable_ids)} of {count_of(len(rows), 'episode')} {verb} no path"
+    effect = "no success, and left out of the means of distance, soft_spl and ndtw"
+    reason_text = f": {reason}" if reason else ""
+    print_warnings([f"{count_text} to a goal, {effect}; episode {episode.id!r}{reason_text}"])

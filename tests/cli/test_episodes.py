@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from grid_maps import level_from
 from navbake import PathFinder, load
-from navbake.episodes import read_episodes
+from navbake.episodes import Episode, EpisodeSet, Goal, Header, read_episodes, write_episodes
 from project_paths import GOLDEN
 
 
@@ -165,6 +166,53 @@ def test_another_grid_is_refused(run):
     assert status == 1 and "1 of 5 episodes have no trajectory, as '0'" in err
     assert "--partial" in err
     assert run("score", "set.jsonl", "runs.jsonl", "--partial")[0] == 0
+
+
+def test_scenes_of_other_programs_are_named(run):
+    assert run("episodes", "house.json.gz", "-o", "set.jsonl", "--count", "5", "-q")[0] == 0
+    drive()
+    scene = ("--scene", "house=x/house.glb")
+    assert run("convert", "set.jsonl", "a.json.gz", *scene, "-q")[0] == 0
+    status, _, err = run("score", "a.json.gz", "runs.jsonl", "house.json.gz")
+    assert status == 1 and "no grid of 'x/house.glb'" in err
+    assert "among those of 'house'" in err and "`--scene house=x/house.glb`" in err
+    status, out, err = run("score", "a.json.gz", "runs.jsonl", "house.json.gz", *scene)
+    assert (status, err) == (0, "") and "all: 5 episodes" in out
+
+
+def test_a_forced_score_says_for_which_radius_it_is(run):
+    args = ("episodes", "house.json.gz", "-o", "set.jsonl", "--count", "5", "--radius", "0.3")
+    assert run(*args, "-q")[0] == 0
+    drive()
+    status, _, err = run("score", "set.jsonl", "runs.jsonl", "--force")
+    assert status == 0 and "and the set's agent has a radius of 0.3 m" in err
+    assert run("convert", "set.jsonl", "set.csv", "-q")[0] == 0
+    status, _, err = run("score", "set.csv", "runs.jsonl", "house.json.gz", "--force")
+    assert status == 0 and "and the set names no agent" in err
+
+
+def test_episodes_without_a_path_are_named_and_counted(run):
+    grid = level_from("..#..\n..#..\n")
+    grid.metadata["sceneId"] = "plan"
+    grid.save("plan.json")
+    goals = (Goal(position=(0.05, -0.05, 0.0), radius=0.1),)
+    ends = {"near": (0.15, -0.05, 0.0), "cut off": (0.45, -0.05, 0.0)}
+    content = EpisodeSet(
+        Header(),
+        tuple(
+            Episode(id=name, scene="plan", task="point", start=start, heading=0.0, goals=goals)
+            for name, start in ends.items()
+        ),
+    )
+    write_episodes(content, "set.jsonl")
+    lines = [{"episode": name, "positions": [(0.05, -0.05, 0.0)]} for name in ends]
+    Path("runs.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    status, out, err = run("score", "set.jsonl", "runs.jsonl", "plan.json", "--force")
+    assert status == 0
+    assert "1 of 2 episodes has no path to a goal" in err and "episode 'cut off': " in err
+    assert "RuntimeWarning" not in err
+    count_by_measure = {line.split()[0]: line.split()[-1] for line in out.splitlines()[2:]}
+    assert count_by_measure["success"] == "2" and count_by_measure["soft_spl"] == "1"
 
 
 def test_an_unknown_field_of_a_trajectory_is_named_with_the_known_ones(run):

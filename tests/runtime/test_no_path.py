@@ -52,7 +52,7 @@ def test_places_that_are_not_free():
         "the goal (7.00, -0.05) lies beside the grid, x 0 to 0.4, y -0.2 to 0",
         "(0.35, -0.05, 0.00), 6.65 m away",
     )
-    assert_says(finder.why_not((0.05, -0.05, -3.0), good), "has no floor below it")
+    assert_says(finder.why_not((0.05, -0.05, -3.0), good), "lies below every floor", "z up")
     assert_says(
         finder.why_not(good, [(0.15, -0.05), (0.25, -0.05)]),
         "none of the 2 goals is free: the first (0.15, -0.05) is where something stands",
