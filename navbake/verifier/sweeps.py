@@ -17,7 +17,8 @@ from navbake.navgrid.grid import GridBase, NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.links import Link
 from navbake.runtime.path_finder import PathFinder
-from navbake.types import Float, Int
+from navbake.runtime.paths import Path
+from navbake.types import Float
 from navbake.verifier.cells import compute_floor_tolerance
 from navbake.verifier.probes import (
     TOUCHES,
@@ -133,7 +134,7 @@ class PathSweep:
             path = None if goal is None else path_finder.find_path(start, goal)
             if path is None or path.length == 0.0:
                 continue
-            contacts = self._sweep_path(path.positions, path.levels)
+            contacts = self._sweep_path(path)
             counts.paths += 1
             counts.length += path.length
             counts.beside += contacts.touches_near_ends
@@ -142,12 +143,12 @@ class PathSweep:
         counts.length = round(counts.length, 6)
         return counts, findings
 
-    def _sweep_path(self, positions: Float, levels: Int) -> PathContacts:
+    def _sweep_path(self, path: Path) -> PathContacts:
         """Sweep the cylinder along a path, up to the first touch that is a fault."""
         touches_near_ends = False
         step = self._agent.step
         height = self._agent.height
-        for stretch in self._split_path(positions, levels):
+        for stretch in self._split_path(path):
             free_range = HeightRange(stretch.highest_floor + step, stretch.lowest_floor + height)
             full_range = HeightRange(stretch.floor + step, stretch.floor + height)
             contact = self._sweep_stretch(stretch, free_range)
@@ -178,13 +179,23 @@ class PathSweep:
             size=depth,
         )
 
-    def _split_path(self, positions: Float, levels: Int) -> list[PathStretch]:
-        """Split a path at the edges of cells, and join stretches with the same floor."""
+    def _split_path(self, path: Path) -> list[PathStretch]:
+        """Split a path at the edges of cells, and join stretches with the same floor.
+
+        Parts over links, such as drops, are left out: no agent walks there.
+        """
         stretches: list[PathStretch] = []
+        positions = path.positions
+        levels = path.levels
+        is_walked = np.ones(len(positions), dtype=np.bool_)
+        for first_point, last_point in path.stops.tolist():
+            is_walked[first_point:last_point] = False
         lattices = [level.lattice for level in self._grid.levels]
         for point_index, (begin, end) in enumerate(pairwise(positions)):
             if np.hypot(*(end - begin)[:2]) < MIN_STRETCH_LENGTH:
                 continue  # a step up or down between the floors of two cells
+            if not is_walked[point_index]:
+                continue
             lattice = lattices[int(levels[point_index])]
             fractions = _find_cell_edge_fractions(lattice, begin, end)
             piece_ends = begin[:2] + np.outer(fractions, end[:2] - begin[:2])
