@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,8 @@ from navbake.lazy import lazy
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
+
+Number = TypeVar("Number", bound=np.generic)
 
 fcl = lazy("fcl")  # few scenes have a cell that nothing else decides
 
@@ -331,24 +333,20 @@ def check_level_occupancy(
         For each level, its cells that have a floor, their occupancy, and the lists of their
         occupants. All levels' lists are in the same arrays.
     """
-    # the floors of all levels, in ascending order of cells, and of heights in a cell
-    floor_by_level = np.stack([level.floor.ravel()[cells] for level in floors.levels], axis=1)
-    has_floor = ~np.isnan(floor_by_level)
-    cell_index, level_number = np.nonzero(has_floor)
-    floor_heights = floor_by_level[has_floor]
-    if np.any((np.diff(cell_index) == 0) & (np.diff(floor_heights) < 0)):  # levels interleave
-        sort_indices = np.lexsort((floor_heights, cell_index))
-        cell_index = cell_index[sort_indices]
-        level_number = level_number[sort_indices]
-        floor_heights = floor_heights[sort_indices]
-    floor_cells = cells[cell_index]
-    # index of each level's floor in each cell among all these floors
-    floor_index = np.empty(has_floor.shape, dtype=np.int64)
-    floor_index[cell_index, level_number] = np.arange(len(floor_heights))
+    # the floors of all levels, one level after the other
+    floor_by_level = [level.floor.ravel()[cells] for level in floors.levels]
+    cells_by_level = [cells[~np.isnan(floor)] for floor in floor_by_level]
+    num_floors = [len(level_cells) for level_cells in cells_by_level]
+    floor_cells = np.concatenate(cells_by_level)
+    floor_heights = np.concatenate([floor[~np.isnan(floor)] for floor in floor_by_level])
+    ceiling = np.repeat(find_level_ceilings(floors), num_floors)
+    # in ascending order of cells, and of heights in a cell, for the check
+    order = np.lexsort((floor_heights, floor_cells)) if len(floors.levels) > 1 else slice(None)
+    floor_cells = floor_cells[order]
+    floor_heights = floor_heights[order]
     occupant_lists = NO_OCCUPANT_LISTS
     if wall_candidates is not None:
-        level_ceilings = np.array(find_level_ceilings(floors))
-        ceiling = np.minimum(level_ceilings[level_number], floor_heights + TOP_LEVEL_HEIGHT)
+        ceiling = np.minimum(ceiling[order], floor_heights + TOP_LEVEL_HEIGHT)
         occupant_lists = OccupantLists(
             ceiling=np.maximum(ceiling, floor_heights + agent.height) - TOUCH_DEPTH,
             list_start=np.empty(len(floor_cells), dtype=np.int32),
@@ -362,22 +360,21 @@ def check_level_occupancy(
     occupancy = check_occupancy(
         columns, tiled_shapes, footprint, floor_cells, floor_heights, occupant_lists
     )
-    # sorted level by level, at once, and then divided
-    level_of_floor, cell_index = np.nonzero(has_floor.T)
-    floors_by_level = floor_index[cell_index, level_of_floor]
-    level_cells = cells[cell_index]
-    occupied = occupancy.occupied[floors_by_level]
-    square_occupied = occupancy.square_occupied[floors_by_level]
+    # one level after the other again
+    occupied = _undo_order(occupancy.occupied, order)
+    square_occupied = _undo_order(occupancy.square_occupied, order)
     if wall_candidates is not None:
         occupant_lists = occupant_lists._replace(
-            ceiling=occupant_lists.ceiling[floors_by_level],
-            list_start=occupant_lists.list_start[floors_by_level],
-            floor_geom=occupant_lists.floor_geom[floors_by_level],
-            gap_below=occupant_lists.gap_below[floors_by_level],
+            ceiling=_undo_order(occupant_lists.ceiling, order),
+            list_start=_undo_order(occupant_lists.list_start, order),
+            floor_geom=_undo_order(occupant_lists.floor_geom, order),
+            gap_below=_undo_order(occupant_lists.gap_below, order),
         )
-    first_floor_of_level = np.searchsorted(level_of_floor, np.arange(len(floors.levels) + 1))
     occupancy_by_level = []
-    for first_floor, end_floor in pairwise(first_floor_of_level.tolist()):
+    first_floors = np.cumsum([0, *num_floors]).tolist()
+    for level_cells, (first_floor, end_floor) in zip(
+        cells_by_level, pairwise(first_floors), strict=True
+    ):
         level_floors = slice(first_floor, end_floor)
         level_lists = occupant_lists
         if wall_candidates is not None:
@@ -390,10 +387,15 @@ def check_level_occupancy(
         cell_occupancy = occupancy._replace(
             occupied=occupied[level_floors], square_occupied=square_occupied[level_floors]
         )
-        occupancy_by_level.append(
-            LevelOccupancy(level_cells[level_floors], cell_occupancy, level_lists)
-        )
+        occupancy_by_level.append(LevelOccupancy(level_cells, cell_occupancy, level_lists))
     return occupancy_by_level
+
+
+def _undo_order(values: NDArray[Number], order: Int | slice) -> NDArray[Number]:
+    """Return the array `original` for which ``original[order]`` is `values`, shape (n,)."""
+    original = np.empty_like(values)
+    original[order] = values
+    return original
 
 
 def select_list_entries(
