@@ -18,8 +18,7 @@ from navbake.cli.options import (
     OUTPUT_FLAGS,
     AgentRadius,
     CellSize,
-    ModelPath,
-    Overrides,
+    SceneFiles,
     SceneOrConfig,
     argument,
     flag,
@@ -128,8 +127,8 @@ def samples(
 
 def geoms(
     config: SceneOrConfig,
-    overrides: Overrides = None,
-    model_path: ModelPath = None,
+    *,
+    scene_files: SceneFiles,
 ) -> None:
     """List the geoms of a scene: whether each is counted, its shape, its role, and why.
 
@@ -138,8 +137,7 @@ def geoms(
     from navbake.baker.scene.scene import load_scene
     from navbake.config.settings import load_config
 
-    overrides = [*(overrides or []), *options.override_model_path(model_path)]
-    settings = load_config(config, overrides)
+    settings = load_config(config, scene_files.list_overrides())
     options.say_if_sample(config)
     scene = load_scene(settings)
     print_warnings(scene.warnings)
@@ -183,7 +181,8 @@ def voxelize(
         "WHAT", "IDs by geom, body, top (top-most body) or PATTERN=ID, repeatedly.", "--segment"
     ),
     ignore: list[str] | None = option("PATTERN", "Leave out these bodies. May be repeated."),
-    overrides: Overrides = None,
+    *,
+    scene_files: SceneFiles,
 ) -> None:
     """Voxelize a scene: write which voxels are occupied.
 
@@ -208,7 +207,7 @@ def voxelize(
     from navbake.config.settings import load_config  # loads numpy
     from navbake.formats.voxels import id_table_path, write_voxels
 
-    settings = load_config(config, overrides or [])
+    settings = load_config(config, scene_files.list_overrides())
     options.say_if_sample(config)
     for output in outputs:
         options.check_output(output, inputs=settings.inputs)
@@ -307,13 +306,10 @@ def bake(
     name: str | None = option(
         "NAME", "Name of files in the folder: {id} of the scene, {stem}, {parent}.  [default: {id}]"
     ),
-    overrides: Overrides = None,
+    *,
+    scene_files: SceneFiles,
     radius: AgentRadius = None,
     cell_size: CellSize = None,
-    model_path: ModelPath = None,
-    strict: bool = flag(
-        "--strict", "Refuse an SDF that names models or meshes that aren't there (scene.strict)."
-    ),
     threads: int | None = option("N", "Number of threads.  [default: all cores]", min=1),
     no_timings: bool = flag(
         "--no-timings", "Leave out timings, so that two bakes give the same bytes."
@@ -359,10 +355,8 @@ def bake(
             compile_limits["seconds"] = seconds
         if memory is not None:
             compile_limits["memory"] = memory
-    overrides = list(overrides or [])
+    overrides = scene_files.list_overrides()
     overrides += options.override_sizes(radius, cell_size)
-    overrides += options.override_model_path(model_path)
-    overrides += ["scene.strict=true"] * strict
     jobs: list[tuple[Path, BakeConfig]] = []
     failures: list[Json] = []
     scene_facts: list[Json] = []

@@ -20,7 +20,7 @@ from navbake.cli.options import (
     STDOUT,
     AgentRadius,
     CellSize,
-    Overrides,
+    SceneFiles,
     argument,
     flag,
     option,
@@ -73,7 +73,6 @@ class SceneOptions:
     allow_hosts: list[str] | None = option(
         "HOST", "Another host of the web to which lists and settings may lead. May be repeated."
     )
-    overrides: Overrides = None
     radius: AgentRadius = None
     cell_size: CellSize = None
     slice_text: str | None = option(
@@ -139,6 +138,7 @@ class RunOptions:
 
 def batch(
     scene_options: SceneOptions,
+    scene_files: SceneFiles,
     product_options: ProductOptions,
     worker_options: WorkerOptions,
     run_options: RunOptions,
@@ -163,7 +163,7 @@ def batch(
     plan = job.Plan(
         folder=store.as_folder(product_options.output),
         settings={} if config is None else scenes.read_shared_settings(config),
-        overrides=(*(scene_options.overrides or ()), *size_overrides),
+        overrides=(*scene_files.list_overrides(), *size_overrides),
         products=products.parse_products(product_options.make or []),
         thumbnail=product_options.has_page,
         writes_parquet=product_options.parquet,

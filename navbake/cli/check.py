@@ -19,7 +19,7 @@ import navbake
 from navbake import samples
 from navbake._version import __version__
 from navbake.cli import options
-from navbake.cli.options import PICTURE_OPTION, SCENE_OPTION, GridFile, flag, option
+from navbake.cli.options import PICTURE_OPTION, SCENE_OPTION, GridFile, ModelPath, flag, option
 from navbake.cli.printing import add_facts, print_tables, say
 from navbake.errors import NavbakeError, count_of
 from navbake.formats.convert import read_as
@@ -77,6 +77,7 @@ def verify(
         "What touches by less than this is free [m], > 0, at most a quarter of a cell.",
         default=1e-4,
     ),
+    model_path: ModelPath = None,
     output: Path | None = PICTURE_OPTION,
     force: bool = flag("--force", "Compare with a scene that isn't the one that was baked."),
 ) -> None:
@@ -103,6 +104,7 @@ def verify(
         paths=paths,
         tolerance=tolerance,
         force=force,
+        model_path=options.list_model_folders(model_path),
     )
     add_facts(**report.to_json())
     with options.keep_stdout_for(output):

@@ -10,7 +10,7 @@ from typer import BadParameter, Exit
 import navbake
 from navbake.cli import options
 from navbake.cli.episodes import EPISODE_SUFFIXES, find_relative_path, print_draws, warn_of_few
-from navbake.cli.options import OUTPUT_FLAGS, Overrides, argument, option
+from navbake.cli.options import OUTPUT_FLAGS, SceneFiles, argument, option
 from navbake.cli.printing import add_facts, add_files, print_warnings, say, say_unless_quiet
 from navbake.formats.format_table import VOXEL_SUFFIXES
 from navbake.lengths import format_length
@@ -63,7 +63,8 @@ def fly(
         ".parquet. May be repeated.",
         *OUTPUT_FLAGS,
     ),
-    overrides: Overrides = None,
+    *,
+    scene_files: SceneFiles,
 ) -> None:
     """Plan a flight through a scene's voxels, or say why there is none; or draw episodes.
 
@@ -76,7 +77,9 @@ def fly(
     options.refuse_unused(
         ("--res", res is not None, not is_voxel_file, "scenes"),
         ("--margin", margin is not None, not is_voxel_file, "scenes"),
-        ("--set", bool(overrides), not is_voxel_file, "scenes"),
+        ("--set", bool(scene_files.overrides), not is_voxel_file, "scenes"),
+        ("--model-path", bool(scene_files.model_path), not is_voxel_file, "scenes"),
+        ("--strict", scene_files.strict, not is_voxel_file, "scenes"),
         ("--from", start is not None, is_path, "one path, not for --episodes"),
         ("--to", goal is not None, is_path, "one path, not for --episodes"),
         ("--clearance", clearance > 0.0, is_path, "one path, not for --episodes"),
@@ -104,7 +107,7 @@ def fly(
     else:
         from navbake.config.settings import load_config
 
-        settings = load_config(scene, overrides or [])
+        settings = load_config(scene, scene_files.list_overrides())
         options.say_if_sample(scene)
         scene_id = settings.scene.id
         voxels = _voxelize_box(

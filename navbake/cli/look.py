@@ -22,7 +22,7 @@ from navbake.cli.options import (
     SCENE_OPTION,
     STDOUT,
     GridFile,
-    Overrides,
+    SceneFiles,
     argument,
     flag,
     option,
@@ -220,7 +220,8 @@ def view(
         completion=completion.list_scenes,
     ),
     scene: Path | None = SCENE_OPTION,
-    overrides: Overrides = None,
+    *,
+    scene_files: SceneFiles,
     force: bool = flag("--force", "Show GRID in a scene that it wasn't baked from."),
     episodes: Path | None = option("EPISODES", "A set of episodes to show."),
     trajectories: Path | None = option("FILE", "Where an agent was: .jsonl or .npz."),
@@ -239,9 +240,11 @@ def view(
     from navbake.views.viewer.view import Viewer, Watch, find_watched_files, watch_grid
     from navbake.views.viewer.view_state import ViewState
 
+    overrides = scene_files.list_overrides()
+
     def list_watched_files() -> list[Path]:
         try:
-            return find_watched_files([source, *load_config(source, overrides or []).inputs])
+            return find_watched_files([source, *load_config(source, overrides).inputs])
         except NavbakeError:  # broken for now; the next write is tried again
             return find_watched_files([source])
 
@@ -252,7 +255,7 @@ def view(
         # before the bake, which may be slow
         voxel_grid = None if voxels is None else navbake.load_voxels(voxels)
         flight_path = None if flight is None else read_flight(flight)
-        config = load_config(source, overrides or [])
+        config = load_config(source, overrides)
         with printing.show_progress_bars(
             str(config.scene.id), printing.VERBOSITY.quiet
         ) as progress:
@@ -264,7 +267,9 @@ def view(
 
     is_grid = source.name.lower().endswith(GRID_SUFFIXES)
     options.refuse_unused(
-        ("--set", bool(overrides), not is_grid, "a SCENE or CONFIG"),
+        ("--set", bool(scene_files.overrides), not is_grid, "a SCENE or CONFIG"),
+        ("--model-path", bool(scene_files.model_path), not is_grid, "a SCENE or CONFIG"),
+        ("--strict", scene_files.strict, not is_grid, "a SCENE or CONFIG"),
         ("--scene", scene is not None, is_grid, "a GRID"),
         ("--force", force, is_grid, "a GRID"),
         ("--episodes", episodes is not None, is_grid, "a GRID"),

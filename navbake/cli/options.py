@@ -83,12 +83,6 @@ def check_overrides(overrides: list[str] | None) -> list[str]:
     return overrides or []
 
 
-def override_model_path(folders: list[Path] | None) -> list[str]:
-    """Convert the values of `--model-path` to overrides of settings, with absolute paths."""
-    folder_texts = [str(folder.absolute()) for folder in folders or []]
-    return [f"scene.model_path={json.dumps(folder_texts)}"] if folder_texts else []
-
-
 def override_sizes(radius: float | None, cell_size: float | None) -> list[str]:
     """Convert the values of `--radius` and `--cell-size` to overrides of settings."""
     size_by_key = {"agent.radius": radius, "grid.cell_size": cell_size}
@@ -152,6 +146,45 @@ ModelPath = Annotated[
         help="Models of an SDF, packages of a URDF. May be repeated.",
     ),
 ]
+
+
+@dataclasses.dataclass(frozen=True)
+class SceneFiles:
+    """The options of the settings, and of the files that a scene names."""
+
+    overrides: Overrides = None
+    model_path: ModelPath = None
+    strict: bool = flag(
+        "--strict", "Refuse an SDF that names models or meshes that aren't there (scene.strict)."
+    )
+
+    def list_overrides(self) -> list[str]:
+        """Return all of them as overrides of settings, with absolute paths.
+
+        Raises:
+            BadParameter: a folder of `--model-path` isn't there.
+        """
+        overrides = list(self.overrides or ())
+        folders = list_model_folders(self.model_path)
+        if folders:
+            overrides.append(f"scene.model_path={json.dumps(folders)}")
+        if self.strict:
+            overrides.append("scene.strict=true")
+        return overrides
+
+
+def list_model_folders(folders: list[Path] | None) -> list[str]:
+    """Return the absolute paths of the folders of `--model-path`.
+
+    Raises:
+        BadParameter: a folder isn't there.
+    """
+    for folder in folders or ():
+        if not folder.is_dir():
+            raise BadParameter(f"no folder {folder}", param_hint="--model-path")
+    return [str(folder.absolute()) for folder in folders or ()]
+
+
 SCENE_OPTION = option(
     "SCENE|CONFIG",
     "The scene of GRID, or the settings of its bake (YAML).  [default: the file that GRID names, "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -49,6 +49,7 @@ def find_source(
     *,
     force: bool,
     data: MjDataLike | None = None,
+    model_path: Sequence[str | PathLike[str]] = (),
 ) -> tuple[Scene, BakeConfig | None, list[str]]:
     """Load the scene of a grid.
 
@@ -61,6 +62,7 @@ def find_source(
             memory.
         force: Whether to accept a scene that is not the one of the bake.
         data: The pose of a scene in memory; None for the pose that the settings state.
+        model_path: The folders that replace the setting `scene.model_path`; () to leave it.
 
     Returns:
         The scene; the settings of the bake, None if the scene's settings differ from them; and
@@ -104,6 +106,10 @@ def find_source(
             scene_model = load_from_memory(source, data, config.scene)
     else:
         config = as_config(source)
+    if model_path:
+        folders = [Path(folder) for folder in model_path]
+        scene_settings = config.scene.model_copy(update={"model_path": folders})
+        config = config.model_copy(update={"scene": scene_settings})
     scene = load_scene(config, scene_model=scene_model)
 
     notes = []

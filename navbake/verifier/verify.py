@@ -48,6 +48,7 @@ def verify(
     tolerance: float = DEFAULT_TOLERANCE,
     force: bool = False,
     data: MjDataLike | None = None,
+    model_path: Sequence[str | PathLike[str]] = (),
 ) -> VerifyReport:
     """Compare a grid with its scene, cell by cell.
 
@@ -73,6 +74,8 @@ def verify(
         force: Whether to compare the grid with a scene that is not the one of its bake.
         data: The pose of a model or spec. If None, the pose that the grid states: a keyframe and
             joints.
+        model_path: The folders of the models and packages that the scene's file names, as the
+            setting `scene.model_path`; grids don't state it.
 
     Returns:
         The counts of each level, and each disagreement with its position.
@@ -93,7 +96,9 @@ def verify(
     path = None if isinstance(grid, GridBase) else Path(grid)
     # a grid of one level has the same attributes as a grid of several
     nav_grid: Any = grid if path is None else read_navgrid(path)
-    loaded_scene, config, notes = find_source(nav_grid, scene, path, force=force, data=data)
+    loaded_scene, config, notes = find_source(
+        nav_grid, scene, path, force=force, data=data, model_path=model_path
+    )
     return verify_scene(
         nav_grid,
         loaded_scene,

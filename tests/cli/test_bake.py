@@ -52,6 +52,73 @@ def test_output_of_the_settings_and_of_the_command_line(folder, run, names):
     ]
 
 
+URDF = """<robot name="cell"><link name="base">
+  <collision><geometry><mesh filename="package://parts/floor.obj"/></geometry></collision>
+</link></robot>"""
+FLOOR = (
+    "v 0 0 0\nv 4 0 0\nv 4 4 0\nv 0 4 0\nv 2 2 -1\nf 1 2 3 4\nf 1 5 2\nf 2 5 3\nf 3 5 4\nf 4 5 1\n"
+)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("bake", "cell.urdf"),
+        ("geoms", "cell.urdf"),
+        ("voxelize", "cell.urdf", "--res", "0.5", "-o", "cell.bt"),
+        ("batch", "cell.urdf", "-o", "grids", "--jobs", "1"),
+        ("fly", "cell.urdf", "--radius", "0.2", "--from", "1,1,0.5", "--to", "3,3,0.5"),
+        ("verify", "cell.grid.json", "--scene", "cell.urdf"),
+    ],
+)
+def test_packages_are_found_in_folders_of_the_command_line(folder, run, command):
+    """Where a message says `--model-path`, the command has it."""
+    (folder / "cell.urdf").write_text(URDF)
+    (folder / "ros" / "parts").mkdir(parents=True)
+    (folder / "ros" / "parts" / "floor.obj").write_text(FLOOR)
+    if command[0] == "verify":
+        assert run("bake", "cell.urdf", "--model-path", "ros", "-q")[0] == 0
+    status, out, err = run(*command)
+    assert status == 1 and "by `--model-path`" in out + err
+    assert run(*command, "--model-path", "ros")[0] == 0
+    status, _, err = run(*command, "--model-path", "rso")
+    assert status == 2 and "--model-path: no folder rso" in err
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("bake", "yard.world"),
+        ("geoms", "yard.world"),
+        ("voxelize", "yard.world", "-o", "yard.bt"),
+        ("batch", "yard.world", "-o", "grids", "--jobs", "1"),
+        ("fly", "yard.world", "--radius", "0.2", "--from", "1,1,0.5", "--to", "3,3,0.5"),
+    ],
+)
+def test_models_that_are_missing_are_refused_where_asked(folder, run, command):
+    """Where a message says `--strict`, the command has it."""
+    (folder / "yard.world").write_text(
+        """<sdf version="1.6"><world name="w"><include><uri>model://chair</uri></include>
+        <model name="m"><static>1</static><link name="l"><collision name="c"><geometry><box>
+        <size>3 3 0.1</size></box></geometry></collision></link></model></world></sdf>"""
+    )
+    status, out, err = run(*command, "--strict")
+    assert status == 1 and "'model://chair', not found" in out + err
+
+
+def test_a_scene_that_cannot_be_read_is_refused_before_kernels_are_compiled(
+    folder, run, monkeypatch
+):
+    def refuse_to_compile(*_):
+        raise AssertionError("kernels are compiled")
+
+    monkeypatch.setattr("navbake.baker.bake.stages.ensure_compiled", refuse_to_compile)
+    (folder / "cell.urdf").write_text(URDF)
+    for scene, message in (("cell.urdf", "not found there"), ("gone.xml", "no scene file")):
+        status, _, err = run("bake", scene)
+        assert status == 1 and message in err
+
+
 def test_quiet(folder, run):
     assert run("bake", "room.yaml", "--quiet") == (0, "", "")
 

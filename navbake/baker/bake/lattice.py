@@ -6,7 +6,7 @@ from bisect import bisect_left
 import numpy as np
 
 from navbake.baker.core.windows import Window
-from navbake.baker.scene.scene import Scene
+from navbake.baker.scene.scene import Scene, describe_unit
 from navbake.config.settings import BakeConfig
 from navbake.errors import ConfigError, SceneError
 from navbake.navgrid.lattice import CELL_SLACK, Lattice
@@ -69,9 +69,9 @@ def fit_lattice(scene: Scene, config: BakeConfig) -> Lattice:
         raise ConfigError(
             f"a grid of {num_cells:.3g} cells is more than `grid.max_cells` = "
             f"{settings.max_cells}: {width:.6g} x {depth:.6g} m at `grid.cell_size` = "
-            f"{settings.cell_size:g} m; {_name_farthest_geom(scene, config)}check the scene's unit "
-            f"(`scene.unit`) and the cell size, bake a part (`grid.bounds`), leave geoms out "
-            f"(`scene.exclude`), or raise the limit"
+            f"{settings.cell_size:g} m; {_name_farthest_geom(scene, config)}"
+            f"{describe_unit(scene, config.scene)}; check the cell size, bake a part "
+            f"(`grid.bounds`), leave geoms out (`scene.exclude`), or raise the limit"
         )
     rounding = 0.0
     if settings.bounds is None:

@@ -67,7 +67,7 @@ from navbake.baker.occupants.standing import (
 from navbake.baker.rooms.flags import RoomFlags, gather_flags
 from navbake.baker.rooms.rooms import Rooms, find_rooms
 from navbake.baker.scene.model import CompileLimits, SceneInput, SceneModel
-from navbake.baker.scene.scene import Scene, load_scene
+from navbake.baker.scene.scene import Scene, load_scene, load_scene_file
 from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
 from navbake.config.settings import BakeConfig, select_settings_to_store, settings_digest
@@ -135,9 +135,13 @@ def open_stages(
         ConfigError: the lattice would have too many cells, or would be endless.
         SceneError: the scene cannot be read, or has nothing to bake.
     """
+    with clock.add_to_stage("scene"):
+        # before the kernels are compiled, which may take minutes: a file may be wrong
+        if scene_model is None:
+            scene_model = load_scene_file(config.scene, limits)
     ensure_compiled()
     with clock.stage("scene"):
-        scene = load_scene(config, limits=limits, scene_model=scene_model)
+        scene = load_scene(config, scene_model=scene_model)
         lattice = fit_lattice(scene, config)
     stages = Stages(config, scene, lattice, clock)
     warn_of_memory(scene.structure, stages.extended_lattice.lattice, stages.shape_margin)

@@ -208,7 +208,7 @@ class _WorldReader:
         )
         if self._is_strict:
             raise SceneError(
-                f"{message}: {advice_text} (`scene.strict` and `--strict` refuse them)"
+                f"{message}: {advice_text} (`scene.strict` or `--strict` refuses them)"
             )
         if not self._parsed_scene.geoms:
             raise SceneError(f"{message}: no geometry is left; {advice_text}")
@@ -319,8 +319,6 @@ class _WorldReader:
             elif element.tag == "include":
                 uri = find_text(element, "uri")
                 if _is_model(uri, GROUND_MODEL) and self._find_model(uri, scope.file) is None:
-                    ground_text = "taken as Gazebo's own, endless ground"
-                    self._warn(f"{uri} of {scope.file} not found: {ground_text}")
                     name = find_text(element, "name") or GROUND_MODEL
                     pose = scope.find_pose_of_element(element)
                     self._add_geom(ParsedGeom(name, name, "plane", (0.0, 0.0), pose, drawn=False))

@@ -56,11 +56,12 @@ if TYPE_CHECKING:
 MAX_COPIED_BYTES = 1 << 20  # larger arrays are hashed without a copy
 # More bytes than this are hashed in a thread; fewer are hashed before a thread would start [bytes]
 MIN_THREAD_BYTES = 1 << 17
-# A mesh that is higher or whose box has a longer side, or a scene whose box has only shorter sides,
-# is probably not in metres [m]
-MAX_MESH_HEIGHT = 100.0
-MAX_MESH_SIDE = 5000.0
+# A scene that is higher or whose box has a longer side, or a scene whose box has only shorter
+# sides, is probably not in metres [m]
+MAX_SCENE_HEIGHT = 100.0
+MAX_SCENE_SIDE = 5000.0
 MIN_SCENE_SIDE = 0.5
+METRES_HINT = "MuJoCo's unit is the metre: check the lengths, or the `scale` of its meshes"
 
 
 @dataclass(frozen=True)
@@ -505,13 +506,14 @@ def _warn_size(
         return []
     suffix = Path(settings.path).suffix.lower()
     # SDF and USD have a known unit.
-    is_mesh_file = bool(exact_meshes) and suffix not in SDF_SUFFIXES | STAGE_SUFFIXES
+    has_known_unit = suffix in SDF_SUFFIXES | STAGE_SUFFIXES
+    is_mesh_file = bool(exact_meshes) and not has_known_unit
     bounds_to_check = measure_mesh_bounds(exact_meshes.values()) if is_mesh_file else bounds
     side_lengths = np.diff(bounds_to_check, axis=0)[0]
     longest_side = float(side_lengths.max())
     height = float(side_lengths[2])
     if longest_side < MIN_SCENE_SIDE:
-        hint = "MuJoCo's unit is the metre: check the lengths, or the `scale` of its meshes"
+        hint = METRES_HINT
         if suffix in STAGE_SUFFIXES:
             hint = "check its metersPerUnit, or set `scene.unit` (1 takes metres)"
         if is_mesh_file:
@@ -519,13 +521,27 @@ def _warn_size(
             hint = f"set `scene.unit` to {unit_text} (1 silences this)"
         scene_type = "mesh" if is_mesh_file else "scene"
         return [f"the {scene_type} is only {longest_side:.6g} m large: {hint}"]
-    if is_mesh_file and (height > MAX_MESH_HEIGHT or longest_side > MAX_MESH_SIDE):
+    if not has_known_unit and (height > MAX_SCENE_HEIGHT or longest_side > MAX_SCENE_SIDE):
         size_text = f"{longest_side:.6g} m large"
-        if height > MAX_MESH_HEIGHT:
+        if height > MAX_SCENE_HEIGHT:
             size_text = f"{height:.6g} m high"
-        hint = "if it is in centimetres, set `scene.unit` to 0.01, in millimetres to 0.001"
+        if not is_mesh_file:
+            return [f"the scene is {size_text}: {METRES_HINT} (`scene.unit: 1` silences this)"]
+        hint = (
+            "if it is in centimetres, set `scene.unit` to 0.01, in inches to 0.0254, in "
+            "millimetres to 0.001"
+        )
         return [f"the mesh is {size_text}: {hint} (1 silences this)"]
     return []
+
+
+def describe_unit(scene: Scene, settings: SceneSettings) -> str:
+    """Say how to check the unit of a scene: by `scene.unit` where its file has no fixed unit."""
+    suffix = Path(settings.path).suffix.lower()
+    has_unit_setting = scene.exact_meshes or suffix in STAGE_SUFFIXES
+    if has_unit_setting and suffix not in SDF_SUFFIXES:
+        return "check the scene's unit (`scene.unit`)"
+    return METRES_HINT
 
 
 # ---------------------------------------------------------------- digest

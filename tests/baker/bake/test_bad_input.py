@@ -270,7 +270,7 @@ def test_endless_ground_needs_bounds(fails, folder):
         ("grid.cell_size=.inf", "`grid.cell_size`"),
         ("grid.cell_size=5cm", "`grid.cell_size`"),
         ("grid.cell_size=null", "`grid.cell_size`"),
-        ("grid.cell_size=1e-9", "check the scene's unit (`scene.unit`) and the cell size"),
+        ("grid.cell_size=1e-9", "MuJoCo's unit is the metre: check the lengths"),
         ("grid.cell_size=1e-300", "`grid.max_cells`"),
         ("grid.max_cells=10", "`grid.max_cells` = 10"),
         ("grid.margin=1e9", "`grid.max_cells`"),

@@ -544,6 +544,15 @@ def test_a_missing_texture_is_told_and_stops_nothing(load, tmp_path):
     assert len(told) == 1 and "'gone.png' and 1 more" in told[0] and "drawn plain" in told[0]
 
 
+@pytest.mark.parametrize(("size", "is_told"), [(110.0, True), (40.0, False)])
+def test_a_scene_that_is_far_too_large_is_told(load, size, is_told):
+    """As one in inches, or centimetres: before the bake, which may take minutes."""
+    scene = load(f'<geom name="box" size="{size} 1 {size / 2}"/>')
+    assert scene.hints == scene.warnings and len(scene.hints) == is_told
+    told = "high: MuJoCo's unit is the metre: check the lengths"
+    assert all(told in hint and "`scene.unit: 1` silences" in hint for hint in scene.hints)
+
+
 @pytest.mark.parametrize(("size", "is_told"), [(0.1, True), (1.0, False)])
 def test_a_scene_that_is_far_too_small_is_told(load, size, is_told):
     scene = load(f'<geom name="box" size="{size} {size} {size}"/>')
