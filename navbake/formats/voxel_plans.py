@@ -6,6 +6,7 @@ voxel between the heights is, else free if one is known to be free, else unknown
 
 from __future__ import annotations
 
+import logging
 import math
 from os import PathLike
 
@@ -20,6 +21,7 @@ from navbake.navgrid.grid import SceneGrid2D
 from navbake.voxels.floor_plan import cut_band, lattice_of
 from navbake.voxels.grid import VoxelGrid
 
+LOG = logging.getLogger("navbake")
 UNKNOWN_VALUES = {"free": FREE, "occupied": OCCUPIED, "unknown": UNKNOWN}
 
 
@@ -74,5 +76,17 @@ def read_voxel_plan(
     is_known = cut_band(known_voxels, low_z, high_z) != 0
     values = np.where(is_known, FREE, UNKNOWN_VALUES[unknown])
     values = np.where(is_occupied, OCCUPIED, values).astype(np.int8)
+    if not (values == FREE).any():
+        unknown_share = float(np.mean(~is_known & ~is_occupied))
+        LOG.warning(
+            "no cell of %s is free from %g to %g m: %.0f %% of the columns are unknown%s",
+            path,
+            low_z,
+            high_z,
+            100.0 * unknown_share,
+            "; `--unknown free` takes them for free, or write the voxels with `voxelize --free`"
+            if unknown_share
+            else "",
+        )
     metadata = {"sceneId": readable_stem(path)}
     return level_from_values(values, lattice_of(voxels), low_z, metadata)

@@ -633,7 +633,8 @@ class VoxelFinder:
         if is_known is not None and not is_known.all() and self.unknown == "occupied":
             share = 1.0 - float(np.mean(is_known))
             sentence += (
-                f"; {share:.0%} of the voxels are unknown: unknown='free' takes them for free"
+                f"; {share:.0%} of the voxels are unknown: `--unknown free` (unknown='free') takes "
+                "them for free"
             )
         return sentence
 

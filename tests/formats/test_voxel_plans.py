@@ -45,6 +45,18 @@ def test_a_tree_is_cut_and_unknown_columns_are_as_asked(
     assert shown(navbake.load(out)) == expected
 
 
+def test_a_plan_without_a_free_cell_says_that_nothing_is_known(tmp_path, capsys, caplog):
+    VOXELS.save(tmp_path / "a.bt")  # all that isn't occupied is unknown
+    command = ("convert", str(tmp_path / "a.bt"), str(tmp_path / "a.json"), "--height", "0.1:1.2")
+    assert run_command(capsys, *command)[0] == 0
+    [message] = caplog.messages
+    assert "is free from 0.1 to 1.2 m: 50 % of the columns are unknown" in message
+    assert "`--unknown free`" in message and "`voxelize --free`" in message
+    caplog.clear()
+    assert run_command(capsys, *command, "--unknown", "free")[0] == 0
+    assert caplog.messages == []
+
+
 def test_binvox_knows_all_of_its_voxels(tmp_path):
     VOXELS.save(tmp_path / "a.binvox")
     assert shown(read_as(tmp_path / "a.binvox", height=(0.1, 1.2))) == "#..."

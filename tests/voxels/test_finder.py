@@ -235,7 +235,7 @@ def test_unknown_voxels_are_occupied_unless_they_are_called_free():
         known=np.zeros((10, 10, 10), dtype=bool),
     )
     reason = navbake.VoxelFinder(voxels, 0.1).why_not((0.5, 0.5, 0.5), (0.6, 0.6, 0.6))
-    assert "100% of the voxels are unknown: unknown='free'" in reason
+    assert "100% of the voxels are unknown: `--unknown free` (unknown='free')" in reason
     finder = navbake.VoxelFinder(voxels, 0.1, unknown="free")
     assert finder.find_path((0.5, 0.5, 0.5), (0.6, 0.6, 0.6)) is not None
 
