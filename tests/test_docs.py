@@ -139,6 +139,12 @@ def test_the_commands_of_the_page_of_formats_run_in_an_empty_folder(tmp_path, mo
     assert {file.suffix for file in tmp_path.iterdir()} >= {".pgm", ".npz", ".xml", ".yaml"}
 
 
+def test_the_commands_of_the_page_of_routes_run_in_an_empty_folder(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for words in commands_of(ROOT / "docs" / "routes.md"):
+        assert run_command(capsys, *words)[0] == 0, words
+
+
 def test_the_commands_of_the_page_of_batches_run_on_this_machine(tmp_path, monkeypatch, capsys):
     """All but those on stores and on a cluster, on two scenes; patterns and lists name them."""
     stay_in_process(monkeypatch)

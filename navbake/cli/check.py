@@ -54,7 +54,7 @@ In a heading such as ``free, touches``, the first word is the grid's verdict on 
 second the scene's.
 """
 SAMPLED_CELLS = 100_000  # how many cells `verify` looks at by default
-MAX_LISTED_FINDINGS = 20  # how many disagreements `verify` prints
+MAX_LISTED_FINDINGS = 20  # how many disagreements `verify`, and remarks `audit`, print
 CHECKED_SAMPLE = "apartment"  # the sample that `doctor` bakes
 # a bake of the sample takes longer only if something is wrong: usual are 0.05 to 0.2 s [s]
 USUAL_BAKE_SECONDS = 0.5
@@ -64,7 +64,7 @@ REQUIREMENT = re.compile(r"""([\w.-]+)[^;]*(?:;.*?extra == ["'](?P<extra>[\w-]+)
 
 def verify(
     grid: GridFile,
-    sample: int = option("N", "How many cells to look at, >= 1.", default=SAMPLED_CELLS),
+    sample: int = option("N", "How many cells to look at.", default=SAMPLED_CELLS, min=1),
     all_cells: bool = flag("--all", "Look at all cells."),
     seed: int = option("N", "Seed of the sample and of the paths.", default=0, min=0),
     scene: Path | None = SCENE_OPTION,
@@ -180,8 +180,12 @@ def audit(
         report = audit_routes(grid, nav_grid, radius=radius)
     add_facts(**report.to_json())
     with options.keep_stdout_for(output):
-        for remark in report.remarks:
+        for remark in report.remarks[:MAX_LISTED_FINDINGS]:
             say(remark)
+        if len(report.remarks) > MAX_LISTED_FINDINGS:
+            say(f"and {len(report.remarks) - MAX_LISTED_FINDINGS} more: --json lists them")
+        if routes_grid is not None and radius is None and not report.ok and not nav_grid.radius:
+            say(f"{routes_grid} states no radius: --radius 0 if its cells are inflated already")
         errors_text = count_of(len(report.errors), "error")
         remarks_text = count_of(len(report.remarks) - len(report.errors), "remark")
         say(f"{len(report.checks)} checks: {errors_text}, {remarks_text}")

@@ -7,8 +7,6 @@ can't be read, or that takes long to read, completes nothing.
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,17 +21,6 @@ if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
 
 MAX_GRID_BYTES = 5_000_000  # a larger file takes more than a second to read
-CHOICES = re.compile(r"[a-z]\w*(\|[a-z]\w*)+")
-"""The placeholder of an option that takes one of some words, such as ``cost|time``."""
-
-
-def list_choices(metavar: str) -> Callable[[], list[str]] | None:
-    """Return a function that lists the words of a placeholder; None if it has another form.
-
-    Args:
-        metavar: The placeholder for the value in the help, such as ``cost|time`` or ``FILE``.
-    """
-    return (lambda: metavar.split("|")) if CHOICES.fullmatch(metavar) else None
 
 
 def list_written_formats() -> list[str]:

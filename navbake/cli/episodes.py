@@ -42,7 +42,7 @@ def episodes(
         "TASK",
         "point, object, room, sequence, explore or reach.",
         default="point",
-        completion=completion.list_choices("point|object|room|sequence|explore|reach"),
+        choices="point|object|room|sequence|explore|reach",
     ),
     objects: list[str] | None = option(
         "PATTERN",
@@ -70,18 +70,20 @@ def episodes(
         "KIND",
         "What its goals are: point, object or room.",
         default="point",
-        completion=completion.list_choices("point|object|room"),
+        choices="point|object|room",
     ),
     share: float = option(
         "SHARE",
         "Share of the free area that has to be explored, 0 to 1, with TASK explore.",
         default=0.9,
+        min=0.0,
+        max=1.0,
     ),
     sampler: str = option(
         "NAME",
         "uniform, habitat, stratified or minos.",
         default="uniform",
-        completion=completion.list_choices("uniform|habitat|stratified|minos"),
+        choices="uniform|habitat|stratified|minos",
     ),
     rule: list[str] | None = option("KEY=VALUE", "A rule, e.g. min_distance=2. May be repeated."),
     total: int | None = option("N", "Episodes in all.  [default: 100 a scene]", "--count", min=1),
@@ -277,7 +279,7 @@ def score(
         "GROUP",
         "all, distance, ratio, room, scene or split.",
         default="all",
-        completion=completion.list_choices("all|distance|ratio|room|scene|split"),
+        choices="all|distance|ratio|room|scene|split",
     ),
     threshold: float = option(
         "METRES", "Distance at which nDTW counts a point as missed [m].", default=3.0

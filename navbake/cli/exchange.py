@@ -408,6 +408,11 @@ def routes(
         "METRES", "Agent's radius [m].  [default: its own, or the grid's]"
     ),
     level: int | None = LEVEL_OPTION,
+    stairs: str | None = option(
+        "occupied|free",
+        "Lanes over stairs, and on floors beyond them, or none.  [default: free; nav2-route: "
+        "occupied, as in the maps of `convert`]",
+    ),
     to: str | None = option(
         "FORMAT",
         "Format of the file.  [default: by its ending]",
@@ -415,6 +420,7 @@ def routes(
         completion=completion.list_route_formats,
     ),
 ) -> None:
+    from navbake.formats import map_losses  # loads numpy
     from navbake.formats.route_files import encode_routes
     from navbake.navgrid.links import Agent
     from navbake.routes.build import make_routes
@@ -422,16 +428,22 @@ def routes(
 
     if output == STDOUT and to is None:
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
-    _find_format(output, to, ("--to", "-o"), writing=True, formats=ROUTE_FORMATS)
+    writer = _find_format(output, to, ("--to", "-o"), writing=True, formats=ROUTE_FORMATS)
+    if stairs is None:
+        stairs = "occupied" if "stairs" in writer.closes else "free"
     options.check_output(output, inputs=[grid])
     nav_grid = navbake.load(grid)
     route_agent = find_agent(nav_grid, agent)
     if radius is not None:
         route_agent = replace(route_agent or Agent(""), radius=radius)
+    closed_cells = map_losses.find_closed_cells(nav_grid, stairs=stairs, closes_areas=False)
+    wheeled_grid = map_losses.close_cells(nav_grid, closed_cells.join_masks())
     with show_progress_bars(str(output), VERBOSITY.quiet) as progress:
-        graph = make_routes(nav_grid, route_agent, progress)
+        graph = make_routes(wheeled_grid, route_agent, progress)
     graph = graph if level is None else graph.on_level(level)
     options.write_output(encode_routes(graph, output, to), output)
+    losses = map_losses.describe_losses(nav_grid, (), closed_cells, level=level)
+    print_warnings(f"no lanes lead over {loss}" for loss in losses)
     add_facts(
         scene_id=nav_grid.scene_id,
         radius=graph.radius,

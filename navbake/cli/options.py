@@ -23,7 +23,7 @@ from typer.core import TyperCommand
 
 from navbake import files, samples
 from navbake.cli import printing
-from navbake.cli.completion import list_choices, list_levels, list_scenes
+from navbake.cli.completion import list_levels, list_scenes
 from navbake.cli.printing import VERBOSITY, print_error, use_verbosity
 from navbake.errors import ConfigError, NavbakeError
 from navbake.formats.source import write_bytes
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 Completion = Callable[..., list[str]]
 """A function of `navbake.cli.completion`, as typer takes it."""
+CHOICES = re.compile(r"[a-z]\w*(\|[a-z]\w*)+")
+"""The placeholder of an option that takes one of some words, such as ``cost|time``."""
 
 
 def option(
@@ -40,6 +42,7 @@ def option(
     text: str,
     *names: str,
     default: Any = None,
+    choices: str | None = None,
     completion: Completion | None = None,
     **limits: Any,
 ) -> Any:
@@ -51,13 +54,33 @@ def option(
         names: the option's names, such as ``--name`` and ``-n``; by default typer derives one from
             the parameter's name.
         default: the value if the option isn't given; ``...`` if it has to be given.
-        completion: lists the values that a shell completes; None for the words of `metavar` if it
-            has the form ``cost|time``, else for files.
+        choices: the words of which the value has to be one, as in ``cost|time``; None for those of
+            `metavar` if it has this form, else for any value. A shell completes them.
+        completion: lists the values that a shell completes; None for the choices, or files.
         limits: the smallest (`min`) and the largest (`max`) number that is accepted.
     """
-    if completion is None:
-        completion = list_choices(metavar)
-    return Option(default, *names, metavar=metavar, help=text, autocompletion=completion, **limits)
+    if choices is None and CHOICES.fullmatch(metavar):
+        choices = metavar
+    if choices is None:
+        return Option(
+            default, *names, metavar=metavar, help=text, autocompletion=completion, **limits
+        )
+    words = choices.split("|")
+
+    def check_word(value: str | None) -> str | None:
+        if value is not None and value not in words:
+            raise BadParameter(f"expected {' or '.join(words)}, got {value!r}")
+        return value
+
+    return Option(
+        default,
+        *names,
+        metavar=metavar,
+        help=text,
+        autocompletion=lambda: words,
+        callback=check_word,
+        **limits,
+    )
 
 
 def argument(
@@ -320,8 +343,14 @@ def refuse_unused(*uses: tuple[str, bool, bool, str]) -> None:
             raise BadParameter(f"does nothing here: it is for {purpose}", param_hint=name)
 
 
+def _expect_words(not_one_of: re.Match[str]) -> str:
+    words = re.findall(r"'([^']*)'", not_one_of["words"])
+    return f"expected {' or '.join(words)}, got {not_one_of['value']}"
+
+
 # What typer says of a value of a wrong type, in pydantic's words -> the same in ours
-TYPE_ERRORS = {
+TYPE_ERRORS: dict[str, str | Callable[[re.Match[str]], str]] = {
+    r"(?:Value error, )?(?P<value>'[^']*') is not one of (?P<words>'.*')\.?": _expect_words,
     r"Input should be a valid number\b[^']*?(?=, got|$)": "expected a number",
     r"Input should be a valid integer\b[^']*?(?=, got|$)": "expected a whole number",
     r"Input should be greater than or equal to": "expected a number >=",

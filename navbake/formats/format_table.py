@@ -263,6 +263,7 @@ ROUTE_FORMATS = (
         meaning="nav2's Route Server",
         encode="route_files:encode_nav2_route",
         read="route_files:read_nav2_route",
+        closes=("stairs",),  # as the maps that nav2 drives on
     ),
     FileFormat(
         name="lif",

@@ -295,6 +295,8 @@ def close_cells(grid: NavGrid, closed_cell_masks: Sequence[Bool]) -> NavGrid:
         attributes = {"occupancy": occupancy}
         if "floorHeight" not in level.attributes:
             attributes["floorHeight"] = level.floor_height.copy()
+        if "solid" in level.attributes:  # inflation measures from it
+            attributes["solid"] = np.where(is_closed, np.uint8(1), level.attributes["solid"])
         levels.append(level.with_layers(weights=weights, attributes=attributes))
     return grid.with_levels(levels)
 

@@ -45,7 +45,7 @@ from navbake.formats.source import (
     read_yaml_source,
 )
 from navbake.known_names import check_choice
-from navbake.navgrid.grid import NavGrid, SceneGrid2D
+from navbake.navgrid.grid import MAX_RADIUS, NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import LEAST_EDGE, MAX_COORDINATE, Lattice, rounded
 from navbake.runtime.inflation import NAV2_SCALING
 from navbake.types import Bool, Json
@@ -77,7 +77,8 @@ class MapYaml(NamedTuple):
         negate: whether dark pixels are free.
         occupied: the threshold, 0 to 1: pixels that are darker are occupied.
         free: the threshold, 0 to 1: pixels that are less dark are free.
-        ground: world z of the floor [m], from navbake's own key in the YAML.
+        ground: world z of the floor [m], from navbake's own keys in the YAML.
+        radius: radius of the agent for which cells are blocked [m], from there, too; 0 for none.
     """
 
     image: Path
@@ -88,6 +89,7 @@ class MapYaml(NamedTuple):
     occupied: float
     free: float
     ground: float = 0.0
+    radius: float = 0.0
 
 
 def encode_nav2(
@@ -144,6 +146,7 @@ def encode_nav2(
         scaling = NAV2_SCALING
     if radius is not None and inflation is None:
         grid = grid.inflate(radius)
+    map_radius = grid.radius if inflation is None or radius is None else radius
     files: Files = {}
     for level_number, yaml_path in list_level_paths(grid, path, level, YAML_SUFFIXES).items():
         if inflation is None:
@@ -155,12 +158,20 @@ def encode_nav2(
             )
         if closed_cell_masks is not None:
             values[closed_cell_masks[level_number]] = occupancy.OCCUPIED
-        files |= encode_map(grid.levels[level_number], values, yaml_path, mode, image)
+        files |= encode_map(
+            grid.levels[level_number], values, yaml_path, mode, image, radius=map_radius
+        )
     return files
 
 
 def encode_map(
-    level: SceneGrid2D, values: occupancy.OccupancyValues, path: Path, mode: str, image: str
+    level: SceneGrid2D,
+    values: occupancy.OccupancyValues,
+    path: Path,
+    mode: str,
+    image: str,
+    *,
+    radius: float = 0.0,
 ) -> Files:
     """Encode a map of a level: the image of its occupancy values, and the YAML that names it.
 
@@ -170,6 +181,7 @@ def encode_map(
         path: the YAML; the image has the same name with another ending.
         mode: ``trinary``, ``scale`` or ``raw``.
         image: ``pgm`` or ``png``.
+        radius: radius of the agent for which the values block cells [m]; 0 for none.
 
     Returns:
         The content of the image and of the YAML, each by its path.
@@ -206,6 +218,8 @@ def encode_map(
         "free_thresh": free_threshold,
         "navbake": {"ground": rounded(level.ground, DECIMALS)},  # ignored by nav2
     }
+    if radius:
+        map_yaml["navbake"]["radius"] = rounded(radius, DECIMALS)
     image_format = {"pgm": "PPM", "png": "PNG"}[image]
     return {
         image_path: encode_image(pixels.astype(np.uint8), image_format),
@@ -218,7 +232,9 @@ def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2
 
     Free and occupied cells have a flat floor at z = 0 (or at navbake's own key
     ``navbake.ground``), unknown ones have none. In modes ``scale`` and ``raw``, values of 1
-    to 98 become weights of nav2's costs; 99 is blocked.
+    to 98 become weights of nav2's costs; 99 is blocked. A map with navbake's own key
+    ``navbake.radius`` is read as a grid that was inflated for this radius: cells stay blocked as
+    they are for an agent of this size.
 
     If the map's yaw is a whole number of quarter turns, the cells are only rearranged. That is also
     done for a yaw so near to one that no corner of the map is off by more than a tenth of a cell.
@@ -248,8 +264,15 @@ def read_nav2(path: str | PathLike[str], *, rules: str = "humble") -> SceneGrid2
         "image": map_yaml.image.name,
         "origin": list(map_yaml.origin),
     }
-    metadata = {"sceneId": readable_stem(path), "nav2": yaml_content}
+    metadata: Json = {"sceneId": readable_stem(path), "nav2": yaml_content}
+    radius = map_yaml.radius
+    if radius:
+        metadata["inflation"] = [{"radius": radius, "mode": "exact", "ledges": "avoid"}]
     level = occupancy.level_from_values(values, lattice, map_yaml.ground, metadata)
+    if radius and map_yaml.mode == "trinary":  # other modes tell the blocked from the occupied
+        is_obstacle = occupancy.find_obstacles(~level.free, radius / lattice.cell_size)
+        is_unknown = values == occupancy.UNKNOWN
+        level.attributes["occupancy"] = (is_obstacle | is_unknown).astype(np.uint8)
     check_grid(level, JsonPath(check_path(path)))
     return level
 
@@ -351,8 +374,11 @@ def read_map_yaml(path: str | PathLike[str]) -> MapYaml:
         place["negate"].refuse("0 or 1", negate)
     origin = check_vector(entries.get("origin", ABSENT), place["origin"])
     navbake_entry = entries.get("navbake")
-    ground = navbake_entry.get("ground", 0.0) if isinstance(navbake_entry, dict) else 0.0
-    ground = float(check_number(ground, place["navbake"]["ground"]))
+    navbake_keys = navbake_entry if isinstance(navbake_entry, dict) else {}
+    ground = float(check_number(navbake_keys.get("ground", 0.0), place["navbake"]["ground"]))
+    radius = float(check_number(navbake_keys.get("radius", 0.0), place["navbake"]["radius"]))
+    if not 0 <= radius <= MAX_RADIUS:
+        place["navbake"]["radius"].refuse(f"0 to {MAX_RADIUS:,.0f} m", radius)
     if not all(abs(value) <= MAX_COORDINATE for value in (*origin[:2], ground)):
         place["origin"].fail(f"expected a map within {MAX_COORDINATE:g} m of the origin")
     return MapYaml(
@@ -364,6 +390,7 @@ def read_map_yaml(path: str | PathLike[str]) -> MapYaml:
         occupied=occupied_threshold,
         free=free_threshold,
         ground=ground,
+        radius=radius,
     )
 
 

@@ -21,7 +21,8 @@ from navbake.formats.allowance import MAX_PIXELS
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import Lattice
-from navbake.runtime.inflation import NAV2_SCALING, nav2_costs
+from navbake.runtime.inflation import NAV2_SCALING, count_covered_cells, nav2_costs
+from navbake.runtime.surroundings import find_disc_offsets
 from navbake.types import Bool, Float, Json
 
 ndimage = lazy("scipy.ndimage")
@@ -148,6 +149,38 @@ def level_from_values(
         },
         metadata=metadata,
     )
+
+
+def find_obstacles(is_blocked: Bool, radius: float) -> Bool:
+    """Find the obstacles of a map whose cells are blocked for an agent of some radius.
+
+    A geom blocks all cells whose centres lie within the radius. So where one is in a cell, all
+    centres are blocked whose distance from the cell's centre is smaller by half a diagonal. All
+    cells of which this is true count as obstacles: an inflation for a larger agent frees no cell
+    where one of them stands.
+
+    Args:
+        is_blocked: the blocked cells, shape (height, width), bool.
+        radius: the agent's radius, in cells.
+
+    Returns:
+        The cells with obstacles, of the same shape, bool.
+    """
+    certain_radius = radius - math.sqrt(0.5)
+    if certain_radius <= 0.0:
+        return is_blocked
+    disc = find_disc_offsets(certain_radius, is_blocked.shape, to_squares=False)
+    half_widths = disc.half_widths[:-1].tolist()
+    max_row = len(half_widths) - 1
+    runs = np.array(
+        [
+            (row, -half_widths[abs(row)], half_widths[abs(row)])
+            for row in range(-max_row, max_row + 1)
+        ]
+    )
+    is_obstacle = count_covered_cells(~is_blocked, runs) == 0
+    is_explained = count_covered_cells(is_obstacle, runs) > 0
+    return is_obstacle | (is_blocked & ~is_explained)
 
 
 def level_from_rooms(

@@ -124,6 +124,11 @@ def inflate(
     if clearance is None:
         distance_of_cost_1 = math.log(MAX_FREE_COST) / scaling  # where nav2's costs fall to 1
         clearance = min(distance_of_cost_1, MAX_RADIUS) if costs == "nav2" else 0.0
+    # such a grid may be a map, which shows no smaller obstacles than those that block now
+    is_inflated_enough = radius <= grid.inflated_radius and ledges in (
+        ledges_setting(grid),
+        "ignore",
+    )
     weights_by_level = []
     for level_number, level in enumerate(grid.levels):
         if mode == "minos":
@@ -132,7 +137,9 @@ def inflate(
                 _refine_weights(level, radius / cell_size, (radius + clearance) / cell_size)
             )
             continue
-        is_blocked = find_blocked(grid, level_number, radius, ledges)
+        is_blocked = ~level.free
+        if not is_inflated_enough:
+            is_blocked = find_blocked(grid, level_number, radius, ledges)
         free_weights = level.weights
         if "solid" in level.attributes:
             is_freed = level.free_for_point & ~level.free

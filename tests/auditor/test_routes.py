@@ -60,7 +60,10 @@ def test_a_good_graph():
     ("graph", "text"),
     [
         (graph_of([*GOOD, "ad"]), "(0.75, -0.25, 0.00): lane 'ad' crosses what is occupied"),
-        (graph_of(GOOD, radius=0.3), "lane 'bc' passes it at 0.150 m, the agent needs 0.3 m"),
+        (
+            graph_of(GOOD, radius=0.3),
+            "lane 'bc' passes an obstacle at 0.150 m, the agent needs 0.3",
+        ),
         (graph_of([*GOOD, "cx"], x=(0.75, -0.35)), "node 'x' stands where no cell is free"),
         (graph_of([*GOOD, "cx"], x=(0.05, 0.15)), "node 'x' lies outside of the grid"),
         (graph_of([*GOOD, "cx"], x=(2.05, -0.75)), "node 'x' lies outside of the grid"),

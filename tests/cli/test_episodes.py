@@ -103,11 +103,8 @@ def test_objects_by_a_file_of_categories_and_splits(run):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--task", "fly"), "expected one of point"),
-        (("--sampler", "hab"), "no sampler 'hab'"),
         (("--rule", "min_dist=1"), "no rule 'min_dist' of a sampler: it has name, min_distance"),
         (("--split", "train=0"), "shares"),
-        (("--split-by", "floor", "--split", "a=1"), "expected scene or room to split by"),
         (("--categories", "none.yaml", "--task", "object"), "no such file: none.yaml"),
         (("--task", "object", "--object", "unicorn"), "no object 'unicorn' in 'house'"),
         (("--height", "9"), "agents up to"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -20,21 +21,49 @@ def house(tmp_path, monkeypatch):
 
 
 def test_makes_and_audits_a_graph(run):
-    status, out, err = run("routes", "house.json.gz", "-o", "a.geojson")
+    status, out, err = run("routes", "house.json.gz", "-o", "a.geojson", "--stairs", "free")
     graph = read_routes("a.geojson")
     counts = f"{len(graph.nodes)} nodes, {len(graph.lanes)} lanes"
     assert (status, out) == (0, f"a.geojson: {counts} for a radius of 0.2 m\n")
     assert err.startswith("navbake: nav2 knows no levels")
     status, out, _ = run("audit", "a.geojson", "--grid", "house.json.gz")
     assert status == 0 and out.endswith("5 checks: 0 errors, 1 remark\n")
-    # a map has no radius of its own where its cells are those of an agent
+
+
+def test_a_map_states_the_radius_that_its_cells_are_blocked_for(run):
     run("convert", "house.json.gz", "map.yaml", "--level", 1, "--radius", 0.3)
     run("routes", "house.json.gz", "-o", "b.json", "--radius", 0.3, "--level", 1)
+    for radius in (("--radius", 0), ("--radius", 0.2), ()):
+        assert run("audit", "b.json", "--grid", "map.yaml", *radius)[0] == 0
+    run("routes", "house.json.gz", "-o", "c.json", "--level", 1)  # for 0.2 m
+    assert run("audit", "c.json", "--grid", "map.yaml", "--radius", 0)[0] == 1
+    # a map of another program states none
+    content = Path("map.yaml").read_text()
+    Path("map.yaml").write_text(content.replace(", radius: 0.3", ""))
     assert run("audit", "b.json", "--grid", "map.yaml", "--radius", 0)[0] == 0
-    status, out, _ = run("audit", "b.json", "--grid", "map.yaml", "--radius", 0.2, "--json")
-    assert status == 1 and json.loads(out)["remarks"][0]["check"] == "lanes"
-    assert run("audit", "b.json", "--grid", "map.yaml", "-o", "b.png")[0] == 1
-    assert Path("b.png").exists()
+    status, out, _ = run("audit", "b.json", "--grid", "map.yaml", "-o", "b.png")
+    assert status == 1 and Path("b.png").exists()
+    lines = out.splitlines()
+    assert len(lines) == 23
+    assert re.search(r"passes an obstacle at 0\.\d+ m, the agent needs 0\.3 m", lines[0])
+    assert re.fullmatch(r"and \d+ more: --json lists them", lines[20])
+    assert lines[21] == "map.yaml states no radius: --radius 0 if its cells are inflated already"
+    status, out, _ = run("audit", "b.json", "--grid", "map.yaml", "--json")
+    remarks = json.loads(out)["remarks"]
+    assert len(remarks) > 20 and remarks[0]["check"] == "lanes"
+
+
+def test_lanes_for_nav2_leave_the_stairs_out_as_its_maps_do(run):
+    for words, climbs in (
+        (("-o", "a.geojson"), False),
+        (("-o", "a.geojson", "--stairs", "free"), True),
+        (("-o", "a.lif"), True),
+        (("-o", "a.lif", "--stairs", "occupied"), False),
+    ):
+        status, _, err = run("routes", "house.json.gz", *words)
+        kinds = {lane.kind for lane in read_routes(words[1]).lanes}
+        assert status == 0 and ("stairs" in kinds) == climbs
+        assert ("no lanes lead over stairs and floors beyond them (5." in err) != climbs
 
 
 def test_graphs_are_converted_from_format_to_format(run):

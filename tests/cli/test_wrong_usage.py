@@ -35,7 +35,25 @@ CASES = [
     ("why house.json.gz --at 1.5 0.2", 2, "got '1.5' and '0.2'"),
     ("inflate house.json.gz -o a.json", 2, "expected one radius"),
     ("convert room.xml a.yaml", 2, "room.xml is a scene: bake it first, navbake bake room.xml"),
+    # one of some words
+    ("convert house.json.gz a.yaml --stairs open", 2, "'--stairs': expected occupied or free, got"),
+    ("convert house.json.gz a.obj --up x", 2, "'--up': expected y or z, got 'x'"),
+    ("path house.json.gz --from 0,0 --to 1,1 --doors ajar", 2, "'--doors': expected modelled or"),
+    ("episodes house.json.gz -o a.jsonl --task objectnav", 2, "'--task': expected point or object"),
+    ("fly room.xml --from 0,0,1 --to 1,1,1 --unknown no", 2, "expected occupied or free, got 'no'"),
+    ("episodes house.json.gz -o a.jsonl --sampler hab", 2, "expected uniform or habitat or"),
+    (
+        "episodes house.json.gz -o a.jsonl --split-by floor",
+        2,
+        "expected scene or room, got",
+    ),
     # numbers
+    ("verify house.json.gz --sample 0", 2, "'--sample': expected a number >= 1, got '0'"),
+    (
+        "episodes house.json.gz -o a.jsonl --share 2",
+        2,
+        "'--share': expected a number <= 1, got '2'",
+    ),
     ("bake room.yaml --radius 30cm", 2, "expected a number, got '30cm'"),
     ("inflate house.json.gz 30cm -o a.json", 2, "'RADIUS': expected a number, got '30cm'"),
     ("sample house.json.gz --seed=x", 2, "'--seed': expected a whole number, got 'x'"),
@@ -109,8 +127,8 @@ CASES = [
     # inflate: before the grid is read, where its arguments are wrong
     ("inflate absent.json --radius -1 -o a.json", 1, "0 to 10,000 m as radius, got -1.0"),
     ("inflate absent.json --radius nan -o a.json", 1, "as radius, got nan"),
-    ("inflate absent.json --radius 1 --mode best -o a.json", 1, "exact or minos as mode"),
-    ("inflate absent.json --radius 1 --costs none -o a.json", 1, "step or nav2 as costs"),
+    ("inflate absent.json --radius 1 --mode best -o a.json", 2, "--mode': expected exact or minos"),
+    ("inflate absent.json --radius 1 --costs none -o a.json", 2, "expected step or nav2, got"),
     ("inflate absent.json --radius 1 -o absent/a.json", 1, "cannot write absent/a.json"),
     ("inflate absent.json --radius 1 -o a.json", 1, "absent.json"),
     ("inflate house.json.gz --radius 30cm -o a.json", 2, "30cm"),
@@ -164,7 +182,6 @@ CASES = [
     ("voxelize arena.xml -o a.bt --res 1e-5", 1, "GiB of memory are free"),
     # verify
     ("verify arena.grid.json --sample 10 --all", 2, "expected one of them"),
-    ("verify arena.grid.json --sample 0", 1, "a sample of at least 1 cell"),
     ("verify arena.grid.json --scene gone.xml", 1, "no scene at gone.xml: it may have moved"),
     # batch
     ("batch no/*.xml -o out", 1, "expected files that match"),

@@ -155,6 +155,28 @@ def test_a_costmap_has_the_costs_of_nav2s_formula(tmp_path, mode):
             assert data[level.height - 1 - row, col] == value
 
 
+@pytest.mark.parametrize("radius", [None, 0.3])
+def test_a_map_comes_back_inflated_for_the_radius_of_its_cells(tmp_path, radius):
+    flat = sample("apartment")
+    flat.to_nav2(tmp_path / "a.yaml", radius=radius)
+    back = navbake.from_nav2(tmp_path / "a.yaml")
+    assert back.inflated_radius == (radius or flat.agent_radius)
+    again = back.inflate(back.radius)
+    np.testing.assert_array_equal(again.free, back.free)
+    # a larger agent is free nowhere that it would not be on the grid itself
+    larger = back.inflate(0.5)
+    assert 0 < larger.free.sum() < back.free.sum()
+    truth = flat.inflate(0.5)
+    assert not (larger.free & ~truth.free).any()
+    # and on more than where the blocked cells count as things that stand there
+    num_larger = larger.free.sum()
+    back.metadata.pop("inflation")
+    back.attributes["occupancy"] = (~back.free).astype(np.uint8)
+    assert back.inflate(0.5).free.sum() < num_larger or radius is None
+    back.to_nav2(tmp_path / "b.yaml")
+    assert (tmp_path / "a.pgm").read_bytes() == (tmp_path / "b.pgm").read_bytes()
+
+
 def test_a_costmap_comes_back_with_the_same_values(tmp_path):
     house = sample("house").levels[0]
     house.to_nav2(tmp_path / "a.yaml", mode="raw", radius=0.25, inflation=0.6)
