@@ -178,8 +178,8 @@ def find_obstacles(is_blocked: Bool, radius: float) -> Bool:
             for row in range(-max_row, max_row + 1)
         ]
     )
-    is_obstacle = count_covered_cells(~is_blocked, runs) == 0
-    is_explained = count_covered_cells(is_obstacle, runs) > 0
+    is_obstacle: Bool = count_covered_cells(~is_blocked, runs) == 0
+    is_explained: Bool = count_covered_cells(is_obstacle, runs) > 0
     return is_obstacle | (is_blocked & ~is_explained)
 
 
