@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from navbake.lazy import lazy
 from navbake.lengths import format_length
 from navbake.navgrid.cells import place_in
 from navbake.navgrid.grid import NavGrid
+from navbake.runtime.agents import FLOOR_ROUNDING, fit_grid
 from navbake.runtime.flat_grid import STAIRS_RISE, list_doors_along
 from navbake.runtime.inflation import ledges_setting
 from navbake.runtime.passage import (
@@ -479,6 +481,40 @@ def _find_barring_area(search: Search, cell: int) -> BarringArea | None:
     return BarringArea(f"area {area.name!r}", f"bars {barred_agents}")
 
 
+def explain_by_rises(search: Search, start_cell: int, goal_cells: Int) -> str | None:
+    """Say that the agent takes no steps as high as those of the route that exists for others.
+
+    Args:
+        search: the search on the grid, up to date with added obstacles.
+        start_cell: flat id of a free cell.
+        goal_cells: flat ids of free cells.
+
+    Returns:
+        A clause, such as ``the stairs at (1.00, 2.00, 0.00) rise up to 0.19 m a step, and 'robot'
+        takes 0.05 m``; None if the agent takes all steps of the grid, or there is no such route.
+    """
+    agent = search.agent
+    if agent is None or agent.step is None:
+        return None
+    grid_with_all_steps = fit_grid(
+        search.original_grid.without_obstacles(), replace(agent, step=None)
+    )
+    route = similar_search(grid_with_all_steps, search).find_route(start_cell, goal_cells)
+    if route is None:
+        return None
+    positions = search.flat.positions(route.cells)
+    rises = np.abs(np.diff(positions[:, 2]))
+    too_high_indices = np.flatnonzero((rises > agent.step + FLOOR_ROUNDING) & ~route.is_by_link[1:])
+    if not len(too_high_indices):
+        return None
+    place_text = format_point(positions[too_high_indices[0]])
+    rise_text = f"{format_length(rises[too_high_indices].max())} m"
+    limit_text = f"{repr(agent.name) if agent.name else 'the agent'} takes {agent.step:g} m"
+    if len(too_high_indices) == 1:
+        return f"the step at {place_text} rises {rise_text}, and {limit_text}"
+    return f"the stairs at {place_text} rise up to {rise_text} a step, and {limit_text}"
+
+
 def explain_by_steps(search: Search, start_cell: int, goal_cells: Int) -> str | None:
     """Say between which levels all steps are blocked, or that no steps leave the start's level.
 
@@ -531,6 +567,7 @@ EXPLANATIONS: tuple[Callable[[Search, int, Int], str | None], ...] = (
     explain_by_doors,
     explain_by_links_and_areas,
     explain_by_gap,
+    explain_by_rises,
     explain_by_steps,
 )
 """The functions that explain why there is no path, in the order in which they are called."""

@@ -255,7 +255,8 @@ class PathFinder:
         If the start or the goal isn't free, the sentence says so, and where the nearest free cell
         is. Else it names the islands of both, and the first reason that applies: cells that
         `grid.block` blocks, doors, a link or area that the agent may not use, a gap that is too
-        narrow, blocked steps between levels, or the names of obstacles in between.
+        narrow, steps that are too high for the agent, blocked steps between levels, or the names of
+        obstacles in between.
 
         Args:
             start: world x, y, z [m], shape (3,).

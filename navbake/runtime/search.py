@@ -96,6 +96,7 @@ class Search:
 
     Attributes:
         agent: the agent that plans.
+        original_grid: the grid as it was loaded or baked.
         grid: the grid for the agent's size, see `navbake.runtime.agents.fit_grid`.
         cut_corners: whether diagonal steps past blocked corners are allowed.
         radius: links that are narrower than twice this are left out [m].
@@ -119,6 +120,7 @@ class Search:
         penalty: float | None = None,
     ) -> None:
         self.agent = find_agent(grid, agent)
+        self.original_grid = grid
         self.grid = fit_grid(grid, self.agent)
         self.cut_corners = cut_corners
         self.version = 0

@@ -228,3 +228,20 @@ def test_the_distance_between_islands_counts_heights():
     )
     reason = PathFinder(grid).why_not((0.05, -0.05, 0.0), (0.45, -0.05, 2.6))
     assert "nearest cells are 2.61 m apart" in reason
+
+
+def test_steps_that_are_too_high_for_the_agent_are_the_reason(house):
+    start, goal = (0.0, -4.8, 0.0), (-2.2, -3.2, 3.0)
+    assert PathFinder(house, agent=navbake.Agent("robot", step=0.2)).find_path(start, goal)
+    reason = PathFinder(house, agent=navbake.Agent("robot", step=0.05)).why_not(start, goal)
+    assert reason.endswith(" rise up to 0.19 m a step, and 'robot' takes 0.05 m")
+    assert "; the stairs at (" in reason
+    level = from_map(["......"])
+    level.attributes["floorHeight"][:, 3:] = 0.2
+    ends = (0.05, -0.05, 0.0), (0.55, -0.05, 0.2)
+    assert PathFinder(level).why_not(*ends) is None
+    assert (
+        PathFinder(level, agent=navbake.Agent("", step=0.1))
+        .why_not(*ends)
+        .endswith("the step at (0.25, -0.05, 0.00) rises 0.20 m, and the agent takes 0.1 m")
+    )
