@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from typer import BadParameter, Exit, Option
 
 import navbake
 from navbake.cli import completion, options, printing
 from navbake.cli.options import (
+    DOORS_OPTION,
     LEVEL_OPTION,
     OUTPUT_FLAGS,
     PLACE,
@@ -36,10 +37,6 @@ STAND_PREFIXES = ("object:", "category:")
 POSE_COLUMNS = ("target", "x m", "y m", "z m", "heading rad", "distance m", "path m")
 PLACE_METAVAR = f"{PLACE}|room:NAME"
 PATH_FIELDS = "length", "cost", "seconds", "rooms", "doors", "links", "positions", "levels", "cells"
-DoorState: TypeAlias = Literal["modelled", "open", "closed", "removed"]
-DOORS_OPTION: Any = option(
-    "modelled|open|closed|removed", "State of all doors.  [default: as in the grid]"
-)
 RADIUS_OPTION: Any = option("METRES", "Inflate the grid for this agent radius first [m].")
 
 
@@ -177,7 +174,7 @@ def path(
         default=...,
         completion=completion.list_goals,
     ),
-    doors: DoorState | None = DOORS_OPTION,
+    doors: str | None = DOORS_OPTION,
     radius: float | None = RADIUS_OPTION,
     smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),
     output: Path | None = option(
@@ -335,7 +332,7 @@ def stand(
     start: str | None = option(
         PLACE, "Where the robot is: nearest poses first, where a path leads.", "--from", "--start"
     ),
-    doors: DoorState | None = DOORS_OPTION,
+    doors: str | None = DOORS_OPTION,
     radius: float | None = RADIUS_OPTION,
     output: Path | None = option(
         "JSON|PNG|SVG|PDF", "Write the poses, or draw them where bases can stand.", *OUTPUT_FLAGS
@@ -409,7 +406,7 @@ def stand(
         raise Exit(1)
 
 
-def _adapt_grid(grid: NavGrid, doors: DoorState | None, radius: float | None) -> NavGrid:
+def _adapt_grid(grid: NavGrid, doors: str | None, radius: float | None) -> NavGrid:
     """Return a grid with all doors in a state, inflated for an agent's radius.
 
     Args:

@@ -11,7 +11,7 @@ from typer import Argument, BadParameter
 
 import navbake
 from navbake.cli import completion, options
-from navbake.cli.options import OUTPUT_FLAGS, argument, flag, option
+from navbake.cli.options import DOORS_OPTION, OUTPUT_FLAGS, argument, flag, option
 from navbake.cli.printing import (
     add_facts,
     add_files,
@@ -91,6 +91,7 @@ def episodes(
     seed: int = option("N", "Seed of the draw.", default=0, min=0),
     split: list[str] | None = option("NAME=SHARE", "A part of the set. May be repeated."),
     split_by: str = option("scene|room", "What is in one part whole.", default="scene"),
+    doors: str | None = DOORS_OPTION,
     radius: float | None = option("METRES", "Agent's radius; grids are inflated for it [m]."),
     height: float | None = option("METRES", "Agent's height, at most the grid's [m]."),
     speed: float | None = option("M/S", "Agent's speed, as a note [m/s]."),
@@ -142,7 +143,7 @@ def episodes(
         rules["edges"] = rules["edges"].split(",")
     shares = options.read_pairs(split, "--split", "NAME=SHARE")
     count = total or (per_scene or 100) * len(grids)
-    loaded_grids = [navbake.load(grid) for grid in grids]
+    loaded_grids = [_load_grid(grid, doors) for grid in grids]
     sampler_rules = sets.make_rules(sampler, **rules)
     episode_set = sets.make_episodes(
         loaded_grids,
@@ -175,6 +176,12 @@ def episodes(
             "`--rule outdoors=true` takes it in"
         )
     warn_of_few(episode_set, count)
+
+
+def _load_grid(path: Path, doors: str | None) -> NavGrid:
+    """Load a grid, with all doors in a state; None to leave them as they are."""
+    grid = navbake.load(path)
+    return grid if doors is None else grid.with_doors(doors)
 
 
 def print_draws(episode_set: EpisodeSet, output: Path) -> None:
@@ -288,6 +295,7 @@ def score(
     scene: list[str] | None = option(
         "NAME=ID", "What a set of another program calls a scene. May be repeated."
     ),
+    doors: str | None = DOORS_OPTION,
     partial: bool = flag("--partial", "Leave out episodes without a trajectory."),
     force: bool = flag("--force", "Score on another grid, in other voxels, or for another agent."),
     output: Path | None = option(
@@ -314,11 +322,13 @@ def score(
     elif len(grids) == 1 and grids[0].is_dir():
         grids = find_grids(episode_set, grids[0])
     are_flights = {episode.task for episode in episode_set.episodes} == {FLY_TASK}
+    options.refuse_unused(("--doors", doors is not None, not are_flights, "grids"))
     if not grids:
         noun = "voxels" if are_flights else "grids"
         raise QueryError(f"expected the {noun} of {content}, which names none: give them")
-    load = navbake.load_voxels if are_flights else navbake.load
-    loaded_grids: list[Any] = [load(file) for file in grids]
+    loaded_grids: list[Any] = [
+        navbake.load_voxels(file) if are_flights else _load_grid(file, doors) for file in grids
+    ]
     rows = scores.score_set(
         episode_set, scores.read_trajectories(trajectories), loaded_grids,
         threshold=threshold, force=force, partial=partial,

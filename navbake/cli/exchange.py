@@ -12,6 +12,7 @@ import navbake
 from navbake.cli import completion, options
 from navbake.cli.episodes import SET_FORMATS, convert_episode_set
 from navbake.cli.options import (
+    DOORS_OPTION,
     GRID_SUFFIXES,
     LEVEL_OPTION,
     OUTPUT_FLAGS,
@@ -60,6 +61,7 @@ def convert(
     source: Annotated[Path, Argument(metavar="IN", help="The file to read.")],
     output: Annotated[Path, Argument(metavar="OUT", help="File to write, - for stdout; not IN.")],
     level: int | None = LEVEL_OPTION,
+    doors: str | None = DOORS_OPTION,
     radius: float | None = option("METRES", "Inflate for an agent of this radius first [m]."),
     mode: str | None = option("trinary|scale|raw", "trinary, or with costs.  [default: trinary]"),
     image: str | None = option("pgm|png", "pgm or png.  [default: pgm; png with --mode scale]"),
@@ -125,6 +127,7 @@ def convert(
         raise BadParameter("expected a format: stdout has no ending", param_hint="--to")
     format_options = {
         "level": level,
+        "doors": doors,
         "radius": radius,
         "mode": mode,
         "image": image,
@@ -173,6 +176,7 @@ def convert(
         read_options["height"] = _parse_heights(read_options["height"])
     elif "height" in given_options:
         given_options["height"] = _parse_wall_height(given_options["height"])
+    given_options.pop("doors", None)
     for key in given_options.keys() - {*writer.write_options}:
         purposes = [f"{form.name} as OUT" for form in GRID_FORMATS if key in form.write_options]
         purposes += [f"{form.name} as IN" for form in GRID_FORMATS if key in form.read_options]
@@ -188,6 +192,8 @@ def convert(
         raise FormatError(f"{problem}, but {level_file} is there: each level has a file of its own")
     inputs += list_files(source, reader)
     grid = read_with(reader, source, **read_options)
+    if doors is not None:
+        grid = grid.with_doors(doors)
     if route:
         inflated_grid = grid if radius is None else grid.inflate(radius)
         given_options["route"] = [_plan_route(inflated_grid, text) for text in route]
@@ -408,6 +414,7 @@ def routes(
         "METRES", "Agent's radius [m].  [default: its own, or the grid's]"
     ),
     level: int | None = LEVEL_OPTION,
+    doors: str | None = DOORS_OPTION,
     stairs: str | None = option(
         "occupied|free",
         "Lanes over stairs, and on floors beyond them, or none.  [default: free; nav2-route: "
@@ -433,6 +440,8 @@ def routes(
         stairs = "occupied" if "stairs" in writer.closes else "free"
     options.check_output(output, inputs=[grid])
     nav_grid = navbake.load(grid)
+    if doors is not None:
+        nav_grid = nav_grid.with_doors(doors)
     route_agent = find_agent(nav_grid, agent)
     if radius is not None:
         route_agent = replace(route_agent or Agent(""), radius=radius)

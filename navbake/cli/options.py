@@ -220,6 +220,9 @@ OUTPUT_FLAGS = "-o", "--output"
 """The names of the option for the output file."""
 PICTURE_OPTION = option("PNG|SVG|PDF", "Draw the places; - for a PNG on stdout.", *OUTPUT_FLAGS)
 LEVEL_OPTION = option("N", "Only this level; 0 is the lowest.", completion=list_levels, min=0)
+DOORS_OPTION = option(
+    "modelled|open|closed|removed", "State of all doors.  [default: as in the grid]"
+)
 STDOUT = Path("-")
 """The output that stands for stdout."""
 PICTURE_SUFFIXES = (".png", ".svg", ".pdf")

@@ -55,6 +55,24 @@ def test_a_set_is_made_and_scored(run):
     assert found["spl"]["mean"] > 0.95 and found["time"]["mean"] is None
 
 
+def test_a_set_with_other_doors_is_scored_with_them(run):
+    args = ("episodes", "house.json.gz", "-o", "set.jsonl", "--count", "4")
+    assert run(*args, "--doors", "closed")[0] == 0
+    closed = load("house.json.gz").with_doors("closed")
+    read_episodes("set.jsonl").check_grid(closed)
+    content = read_episodes("set.jsonl")
+    finder = PathFinder(closed)
+    lines = []
+    for episode in content.episodes:
+        path = finder.find_path(episode.start, episode.goals[0].position)
+        lines.append({"episode": episode.id, "positions": path.positions.tolist()})
+    Path("runs.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    status, _, err = run("score", "set.jsonl", "runs.jsonl")
+    assert status == 1 and "another grid" in err
+    status, out, _ = run("score", "set.jsonl", "runs.jsonl", "--doors", "closed")
+    assert status == 0 and "4 episodes" in out
+
+
 def test_objects_are_reached_by_poses_and_scored_with_headings(run):
     args = ("episodes", "house.json.gz", "-o", "set.jsonl", "--task", "reach", "--radius", "0.2")
     size = ("--reach", "0.25,0.9", "--footprint", "0.5,0.3")

@@ -51,13 +51,24 @@ def test_converts_by_ending_or_by_name(convert):
         house.convert("e.json", radius=1.0)
 
 
+def test_doors_are_converted_in_a_state(convert, run):
+    assert convert("house.json.gz", "a.json", "--doors", "closed")[0] == 0
+    house = navbake.load("house.json.gz").with_doors("closed")
+    assert first_difference(navbake.load("a.json"), house) is None
+    assert run("routes", "house.json.gz", "-o", "a.gml", "--doors", "closed")[0] == 0
+    house.routes().save("b.gml")
+    assert Path("a.gml").read_bytes() == Path("b.gml").read_bytes()
+
+
 @pytest.mark.parametrize(
     "key",
     sorted({key for form in GRID_FORMATS for key in (*form.write_options, *form.read_options)}),
 )
 def test_each_option_of_a_format_is_an_option_of_convert(convert, key):
     option = f"--{key.replace('_', '-')}"
-    values = [] if key in ("absolute", "flat", "cut_corners") else ["z" if key == "up" else "1"]
+    words = {"mode": "raw", "image": "png", "rules": "main", "stairs": "free", "unknown": "free"}
+    words["up"] = "z"
+    values = [] if key in ("absolute", "flat", "cut_corners") else [words.get(key, "1")]
     status, _, err = convert("a.jsonl", "b.jsonl", option, *values)
     assert status == 2 and f"--{key}" in err and "grids" in err
 
