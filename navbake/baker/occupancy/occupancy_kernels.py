@@ -516,52 +516,9 @@ def _check_geom(task, shape_kind, shape_ids, geom, entries, num_entries):
     window_near_geom = window_near_box(
         lattice, window, tile_state.geom_box, 0, prism_search_distance
     )
+    _find_pending_cells(task, shape_kind, shape_ids, geom, window_near_geom)
     pending_cell_bits = tile_state.pending_cell_bits
     pending_heights = tile_state.pending_heights
-    pending_cell_bits[:] = 0
-    pending_heights[:, 0] = math.inf
-    pending_heights[:, 1] = -math.inf
-    # which flags the vertical line of each cell leaves open
-    for row in range(window_near_geom[0], window_near_geom[1]):
-        for col in range(window_near_geom[2], window_near_geom[3]):
-            tile_row = row - window[0]
-            tile_col = col - window[2]
-            first_query = tile_state.first_query[tile_row, tile_col]
-            end_query = tile_state.end_query[tile_row, tile_col]
-            first_near_query = find_first_above(
-                queries.highest_prism_z, first_query, end_query, tile_state.geom_box[0, 2]
-            )
-            # the lowest of the prisms begins at the floor, or higher
-            end_near_query = find_first_at_or_above(
-                queries.floor, first_near_query, end_query, tile_state.geom_box[0, 5] + SAME_HEIGHT
-            )
-            tile_state.first_near_query[tile_row, tile_col] = first_near_query
-            tile_state.end_near_query[tile_row, tile_col] = end_near_query
-            for query in range(first_near_query, end_near_query):
-                queries.tested_flags[query] = 0
-                envelope = make_envelope(
-                    lattice, footprint, queries, task.occupant_lists, query, row, col
-                )
-                if is_beside_prism(tile_state.geom_box, 0, envelope):
-                    continue
-                if shape_kind == PLANE_KIND and not plane_meets_prism(
-                    task.shape_arrays.planes, shape_ids[0], envelope
-                ):
-                    continue
-                volumes = make_volumes(
-                    lattice, footprint, queries, task.occupant_lists, query, row, col
-                )
-                _begin_geom(task, shape_kind, geom, query, volumes)
-                open_flags = np.int64(queries.tested_flags[query] & ~queries.geom_flags[query])
-                for flag_index, volume in enumerate(volumes):
-                    if open_flags & (1 << flag_index):
-                        pending_cell_bits[flag_index] |= cell_bit(tile_row, tile_col)
-                        pending_heights[flag_index, 0] = min(
-                            pending_heights[flag_index, 0], volume.low
-                        )
-                        pending_heights[flag_index, 1] = max(
-                            pending_heights[flag_index, 1], volume.high
-                        )
     for shape in shape_ids:
         if (
             pending_cell_bits[0]
@@ -622,6 +579,70 @@ def _check_geom(task, shape_kind, shape_ids, geom, entries, num_entries):
                         -1 if open_flags & (1 << flag_index) else ~cell_bit(tile_row, tile_col)
                     )
     return _keep_flags(task, window_near_geom, geom, entries, num_entries)
+
+
+@subkernel(**NO_REFCOUNT)
+def _find_pending_cells(task, shape_kind, shape_ids, geom, window_near_geom):
+    """Find the cells near a geom in which the vertical line leaves some of its flags open.
+
+    Args:
+        task: a `TileTask`, whose `tile_state` receives the cells and the heights of their prisms,
+            and whose queries receive the flags that the line proves.
+        shape_kind: PLANE_KIND, SOLID_KIND or TRIANGLE_KIND.
+        shape_ids: the numbers of the geom's shapes over the tile.
+        geom: id of the geom.
+        window_near_geom: rows and columns of the cells near the geom.
+    """
+    lattice = task.lattice
+    window = task.window
+    tile_state = task.tile_state
+    queries = task.queries
+    footprint = task.footprint
+    pending_cell_bits = tile_state.pending_cell_bits
+    pending_heights = tile_state.pending_heights
+    pending_cell_bits[:] = 0
+    pending_heights[:, 0] = math.inf
+    pending_heights[:, 1] = -math.inf
+    for row in range(window_near_geom[0], window_near_geom[1]):
+        for col in range(window_near_geom[2], window_near_geom[3]):
+            tile_row = row - window[0]
+            tile_col = col - window[2]
+            first_query = tile_state.first_query[tile_row, tile_col]
+            end_query = tile_state.end_query[tile_row, tile_col]
+            first_near_query = find_first_above(
+                queries.highest_prism_z, first_query, end_query, tile_state.geom_box[0, 2]
+            )
+            # the lowest of the prisms begins at the floor, or higher
+            end_near_query = find_first_at_or_above(
+                queries.floor, first_near_query, end_query, tile_state.geom_box[0, 5] + SAME_HEIGHT
+            )
+            tile_state.first_near_query[tile_row, tile_col] = first_near_query
+            tile_state.end_near_query[tile_row, tile_col] = end_near_query
+            for query in range(first_near_query, end_near_query):
+                queries.tested_flags[query] = 0
+                envelope = make_envelope(
+                    lattice, footprint, queries, task.occupant_lists, query, row, col
+                )
+                if is_beside_prism(tile_state.geom_box, 0, envelope):
+                    continue
+                if shape_kind == PLANE_KIND and not plane_meets_prism(
+                    task.shape_arrays.planes, shape_ids[0], envelope
+                ):
+                    continue
+                volumes = make_volumes(
+                    lattice, footprint, queries, task.occupant_lists, query, row, col
+                )
+                _begin_geom(task, shape_kind, geom, query, volumes)
+                open_flags = np.int64(queries.tested_flags[query] & ~queries.geom_flags[query])
+                for flag_index, volume in enumerate(volumes):
+                    if open_flags & (1 << flag_index):
+                        pending_cell_bits[flag_index] |= cell_bit(tile_row, tile_col)
+                        pending_heights[flag_index, 0] = min(
+                            pending_heights[flag_index, 0], volume.low
+                        )
+                        pending_heights[flag_index, 1] = max(
+                            pending_heights[flag_index, 1], volume.high
+                        )
 
 
 @subkernel(inline="always")
