@@ -455,19 +455,24 @@ def _bake_and_report(
 
     prints_lines = not (printing.VERBOSITY.quiet or printing.VERBOSITY.as_json)
     with printing.show_progress_bars(str(config.scene.id), printing.VERBOSITY.quiet) as progress:
-        # without lines, all warnings follow the bake
-        print_hint = (lambda hint: print_warnings([hint])) if prints_lines else None
+        early_warnings: list[str] = []
+
+        def print_early(warning: str) -> None:
+            early_warnings.append(warning)
+            print_warnings([warning])
+
         result = run_bake(
             config,
             threads=threads,
             progress=progress,
             limits=None if compile_limits is None else CompileLimits(**compile_limits),
-            warn_early=print_hint,
+            warn_early=print_early if prints_lines else None,  # else, all follow the bake
         )
     if not with_timings:
         result.grid.timings = {}
     start_time = time.perf_counter()
     output_path.parent.mkdir(parents=True, exist_ok=True)
+    replaced_text = " (replaced)" if output_path.exists() else ""
     (content,) = encode_files(result.grid, output_path).values()
     options.write_output(content, output_path)
     result.timings["write"] = time.perf_counter() - start_time
@@ -476,10 +481,11 @@ def _bake_and_report(
         return result
     with options.keep_stdout_for(output_path):
         if output_path != options.STDOUT:
-            say(output_path)
+            say(f"{output_path}{replaced_text}")
         printing.print_tables(make_level_table(describe(result.grid)))
         for warning in result.warnings:
-            say(f"warning: {warning}")
+            if warning not in early_warnings:
+                say(f"warning: {warning}")
         stages_text = ", ".join(
             f"{stage} {seconds:.2f}" for stage, seconds in result.timings.items()
         )

@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 
 import pytest
+import trimesh
 
 import navbake
 from command_line import run_command
@@ -26,6 +27,17 @@ def test_bakes_a_yaml(folder, run):
     assert "level 0" in lines[2]
     assert "12 x 8" in lines[2]
     assert all(stage in lines[-1] for stage in ("scene", "columns", "floors", "occupancy"))
+    Path("room2.yaml").write_text(Path("room.yaml").read_text())
+    _, out, _ = run("bake", "room2.yaml")
+    assert out.splitlines()[0] == "room.grid.json (replaced)"
+
+
+def test_a_warning_that_comes_before_the_work_comes_once(folder, run):
+    box = trimesh.creation.box(extents=(300.0, 200.0, 250.0))
+    box.export("box.stl")
+    _, out, err = run("bake", "box.stl", "--set", "grid.cell_size=5", "--set", "floors.roofs=true")
+    lines = (out + err).splitlines()
+    assert sum("metre" in line for line in lines) == 1, lines
 
 
 def test_bakes_a_scene_with_settings_on_the_command_line(folder, run):
