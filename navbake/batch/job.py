@@ -332,6 +332,12 @@ def _describe_changes(plan: Plan, record: Json, inspection: Inspection) -> str:
     ]
     if changed_paths:
         change_texts.append(f"files: {' '.join(Path(path).name for path in changed_paths)}")
+    removed_products = [
+        product for product in record.get("products", ()) if product not in plan.products
+    ]
+    if removed_products:
+        change_texts.remove("products")
+        change_texts.append(f"products: removes {' '.join(removed_products)}")
     return ", ".join(change_texts) or "files"
 
 
@@ -354,22 +360,21 @@ def write_record(folder: store.Folder, record: Mapping[str, Any]) -> None:
     store.write_file(folder, RECORD_NAME, json.dumps(record, allow_nan=False).encode())
 
 
-def remove_made_files(folder: store.Folder) -> None:
-    """Remove from a scene's folder the files that batches made, and no others.
+def remove_made_files(folder: store.Folder) -> set[str]:
+    """Remove from a scene's folder the files that batches made, and return their names.
 
     These are the grid, the recorded files, the record, and temporary files of killed processes. The
     folder may hold the user's own files, too. To tell them apart, the names of all products are
     recorded before the products are written.
     """
     record = read_record(folder)
-    made_file_names = filter(
-        PRODUCT_FILE_PATTERN.fullmatch,
-        {*record.get("files", ()), *record.get("more", ())} - {GRID_NAME},
-    )
+    recorded_names = {*record.get("files", ()), *record.get("more", ())} - {GRID_NAME}
+    made_file_names = set(filter(PRODUCT_FILE_PATTERN.fullmatch, recorded_names))
     # the grid first, since a scene with a grid counts as done; the record last, since it names them
     store.remove_files(folder, [GRID_NAME, *sorted(made_file_names), RECORD_NAME])
     if isinstance(folder, Path):
         remove_leftovers(folder, min_age=0)
+    return made_file_names
 
 
 # ---------------------------------------------------------------- the bake
@@ -498,7 +503,7 @@ def _bake_and_write(plan: Plan, job: Job, begin_time: float) -> SceneRow:
             "inputs": scene.inputs,
             "stages": {name: round(seconds, SECONDS_DECIMALS) for name, seconds in timings.items()},
         }
-        remove_made_files(folder)
+        earlier_names = remove_made_files(folder)
         product_fields = _write_products(plan, folder, grid, scene.config)
         row = {
             **row,
@@ -506,6 +511,7 @@ def _bake_and_write(plan: Plan, job: Job, begin_time: float) -> SceneRow:
             "warnings": [*row["warnings"], *product_fields["warnings"]],
             **_end_times(time.perf_counter() - begin_time),
         }
+        removed_names = earlier_names - row["files"].keys() - {THUMBNAIL_NAME}
         record: SceneRecord = {
             **row,
             "more": [THUMBNAIL_NAME] if plan.thumbnail else [],
@@ -514,6 +520,8 @@ def _bake_and_write(plan: Plan, job: Job, begin_time: float) -> SceneRow:
             "products": [*plan.products],
         }
         write_record(folder, record)
+        if removed_names:  # by this run: later ones don't say so again
+            row["removed"] = sorted(removed_names)
     return row
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -223,6 +223,19 @@ def _make_episodes(grid: NavGrid, values: Sequence[str], folder: Path) -> Json:
     return {"episodes": class_counts}
 
 
+def describe_sizes(id_of_size: Mapping[tuple[float, float], str]) -> str:
+    """Say that agents differ in size, so that their episodes make no common set.
+
+    Args:
+        id_of_size: radius and height of an agent [m] -> the id of a scene with it; two at least.
+    """
+    size_texts = [
+        f"{radius:g} x {height:g} m in {id!r}" for (radius, height), id in id_of_size.items()
+    ]
+    remedy = "`--set agent.radius=… --set agent.height=…` gives all scenes one, or"
+    return f"agents differ in size ({' and '.join(size_texts[:2])}): {remedy}"
+
+
 def merge_episode_sets(encoded_sets: Sequence[tuple[str, bytes]]) -> list[bytes]:
     """Merge the sets of episodes of several scenes into one set, in order.
 
@@ -249,15 +262,14 @@ def merge_episode_sets(encoded_sets: Sequence[tuple[str, bytes]]) -> list[bytes]
     id_of_agent = {header.agent: id for header, (id, _) in zip(headers, encoded_sets, strict=True)}
     reason = f"two scenes are called {repeated_scenes[0]!r}:" if repeated_scenes else ""
     if len(id_of_agent) > 1:
-        size_texts = [
-            f"{agent.radius:g} x {agent.height:g} m in {id!r}"
-            for agent, id in id_of_agent.items()
-            if agent
-        ]
-        remedy = "`--set agent.radius=… --set agent.height=…` gives all scenes one, or"
-        reason = reason or f"agents differ in size ({' and '.join(size_texts[:2])}): {remedy}"
+        id_of_size = {
+            (agent.radius, agent.height): id for agent, id in id_of_agent.items() if agent
+        }
+        reason = reason or describe_sizes(id_of_size)
     if reason:
-        raise NavbakeError(f"the scenes' episodes are no set, as {reason} use those of each scene")
+        raise NavbakeError(
+            f"no common set of episodes was written, as {reason} use those of each scene"
+        )
     rejected_counts = sum((Counter(header.rejected) for header in headers), Counter[str]())
     merged_header = msgspec.structs.replace(
         headers[0],

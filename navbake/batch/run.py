@@ -45,9 +45,9 @@ from navbake.batch.job import (
     record_failure,
     write_record,
 )
-from navbake.batch.products import RECORD_NAME, merge_episode_sets
+from navbake.batch.products import RECORD_NAME, describe_sizes, merge_episode_sets
 from navbake.batch.scene_row import FileState, SceneRow
-from navbake.batch.scenes import Job, check_settings
+from navbake.batch.scenes import Job, check_settings, merge_settings
 from navbake.batch.workers import DONE, RETRIED, JobEnd, JobLimits, Workers
 from navbake.errors import NavbakeError
 from navbake.files import remove_leftovers
@@ -315,6 +315,33 @@ def _run_jobs(
                 job = jobs[job_end.number]
                 row = record_failure(plan, job, job_end.how, job_end.reason, job_end.seconds)
             yield row, job_end.worker
+
+
+def find_differing_agents(plan: Plan, jobs: Sequence[Job]) -> str | None:
+    """Say before the bakes that the scenes' episodes will make no common set.
+
+    Scenes on stores aren't looked at; a scene whose settings are wrong fails later, by itself.
+
+    Args:
+        plan: the batch's options.
+        jobs: the scenes.
+
+    Returns:
+        The sentence; None if no episodes are made, or the scenes' agents have one size.
+    """
+    if not any(product.startswith("episodes:") for product in plan.products):
+        return None
+    id_of_size: dict[tuple[float, float], str] = {}
+    for job in jobs:
+        if store.is_url(job.source):
+            continue
+        with suppress(NavbakeError, OSError):
+            agent = merge_settings(job, plan.settings, plan.overrides).agent
+            id_of_size.setdefault((agent.radius, agent.height), job.id)
+    if len(id_of_size) < 2:
+        return None
+    reason = describe_sizes(id_of_size)
+    return f"no common set of episodes will be written, as {reason} use those of each scene"
 
 
 def write_episode_sets(plan: Plan, rows: Sequence[SceneRow]) -> None:

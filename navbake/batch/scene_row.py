@@ -44,6 +44,7 @@ class SceneRow(TypedDict, total=False):
 
     # set by `job._write_products`
     files: dict[str, FileState]  # name of a file in the scene's folder -> its state
+    removed: list[str]  # products of an earlier run that this one removed; only if there are any
     # measure (``distance``, ``ratio``, ``levels``) -> how many episodes are in each of its classes,
     # whose lower edges are `products.MEASURE_CLASSES`; only with episodes
     episodes: dict[str, list[int]]

@@ -211,8 +211,9 @@ def _list_scenes_of(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
         yield from _read_list(source, columns)
     elif source.endswith("/") or os.path.isdir(source):
         folder = shown_source.rstrip("/")
+        pattern = _find_deeper_pattern(f"{folder}/*.xml") or f"{folder}/*.xml"
         raise ConfigError(
-            f"{EXPECTED_SCENE_TEXT} the folder {folder}: name its files, as '{folder}/*.xml'"
+            f"{EXPECTED_SCENE_TEXT} the folder {folder}: name its files, as '{pattern}'"
         )
     elif is_pattern:
         if store.is_url(source):
@@ -222,11 +223,22 @@ def _list_scenes_of(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
             matches = sorted(glob.glob(source, recursive=True))
             paths = [path for path in matches if os.path.isfile(path) or not os.path.exists(path)]
         if not paths:
-            raise ConfigError(f"expected files that match {shown_source}, got none")
+            deeper_pattern = None if store.is_url(source) else _find_deeper_pattern(source)
+            hint = f"; {deeper_pattern!r} matches some" if deeper_pattern else ""
+            raise ConfigError(f"expected files that match {shown_source}, got none{hint}")
         for path in paths:
             yield Job("", path, {}, store.without_secrets(path))
     else:
         yield Job("", source, {}, shown_source)
+
+
+def _find_deeper_pattern(pattern: str) -> str | None:
+    """Return a pattern of the same files in all folders below; None if none matches, either."""
+    folder, name = os.path.split(pattern)
+    deeper_pattern = os.path.join(folder, "**", name)
+    has_match = next(glob.iglob(deeper_pattern, recursive=True), None) is not None
+    has_match_in_folder = next(glob.iglob(pattern), None) is not None
+    return deeper_pattern if has_match and not has_match_in_folder else None
 
 
 # ---------------------------------------------------------------- lists
@@ -321,7 +333,8 @@ def _make_job(row: Json, folder: store.Folder, place: str) -> Job:
     check_selects_no_scene(settings, place)
     for key in settings.keys() - BakeConfig.model_fields:
         expected_text = "`id`, `scene`, `config` or a setting such as `agent.radius`"
-        raise ConfigError(f"expected {expected_text}, got `{shorten(key)}` at {place}")
+        remedy = "`--column scene=scene --column id=id` names those that count, others are ignored"
+        raise ConfigError(f"expected {expected_text}, got `{shorten(key)}` at {place}: {remedy}")
     unknown_key = find_unknown_key(settings, SECTIONS)
     if unknown_key is not None:
         raise ConfigError(f"{unknown_key} at {place}")

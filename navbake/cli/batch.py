@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
@@ -169,6 +170,9 @@ def batch(
         writes_parquet=product_options.parquet,
         hosts=hosts,
     )
+    set_problem = run.find_differing_agents(plan, jobs)
+    if set_problem is not None:  # the bakes may take hours
+        print_warnings([set_problem])
     limits = workers.JobLimits(
         worker_options.time_limit, worker_options.memory_limit, worker_options.retries
     )
@@ -370,6 +374,7 @@ class _BatchWatch:
         self._begin = time.perf_counter()
         self._counts = {"baked": 0, "skipped": 0, "failed": 0, "left": 0}
         self._total = 0
+        self._removed_names = Counter[str]()  # file -> number of scenes that it was removed from
         self._show_progress: Callable[..., None] = lambda *progress: None
         self._page: page.LivePage | None = None
 
@@ -384,6 +389,7 @@ class _BatchWatch:
             is_failure = values["status"] == "failed"
             self._counts["failed" if is_failure else "baked"] += 1
             self._counts["left"] -= 1
+            self._removed_names.update(values.get("removed", ()))
             if is_failure and not self._as_json:
                 print_error(f"{values['id']}: {values['how']}: {values['error']}")
         if event in ("begin", "scene"):
@@ -476,6 +482,10 @@ class _BatchWatch:
         )
         counts_text = _describe_counts(self._counts)
         say_unless_quiet(f"{counts_text}{warnings_text} in {seconds:.1f} s: {files_text}")
+        if self._removed_names:
+            names_text = ", ".join(sorted(self._removed_names))
+            scenes_text = count_of(max(self._removed_names.values()), "scene")
+            say_unless_quiet(f"removed, as no --make asks for them: {names_text} of {scenes_text}")
         cost = run.measure_cost(result.rows)
         if cost:
             times = cost["seconds"]

@@ -88,7 +88,7 @@ def test_scenes_that_make_no_set_are_one_error(scenes, monkeypatch):
     stay_in_process(monkeypatch)
     Path("list.csv").write_text("scene,agent.radius\na.xml,0.1\nb.xml,0.2\n")
     _, result = run("list.csv", products=MAKE)
-    sizes = "no set, as agents differ in size (0.1 x 1.14 m in 'a' and 0.2 x 1.14 m in 'b'): "
+    sizes = "agents differ in size (0.1 x 1.14 m in 'a' and 0.2 x 1.14 m in 'b'): "
     assert sizes + "`--set agent.radius=… --set agent.height=…`" in result.stop_reason
     assert result.count("ok") == 2
     assert Path("out", INDEX_NAME).exists() and Path("out/a", SET).exists()
@@ -97,7 +97,10 @@ def test_scenes_that_make_no_set_are_one_error(scenes, monkeypatch):
     for name in ("o", "t"):
         Path(f"{name}.xml").write_text(draw_room(1))
     _, result = run("one.yaml", "two.yaml", products=MAKE, out="other")
-    assert "no set, as two scenes are called 'same'" in result.stop_reason
+    assert (
+        "no common set of episodes was written, as two scenes are called 'same'"
+        in result.stop_reason
+    )
 
 
 @pytest.mark.parametrize(

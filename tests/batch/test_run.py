@@ -212,7 +212,11 @@ def test_products_are_made_missed_and_removed(scenes, here):
     assert run("scenes/first.xml", products=make)[0] == ["first"]
     assert digests("out") == before
     Path("out/first/notes.txt").write_text("mine")
-    assert run("scenes/first.xml", products=["report", "report"])[0] == ["first"]
+    names, result = run("scenes/first.xml", products=["report", "report"])
+    assert names == ["first"]
+    assert set(result.rows[0]["removed"]) == names_in_docs() - {"grid.json.gz", "report.html"}
+    _, result = run("scenes/first.xml", products=["report", "report"])
+    assert "removed" not in result.rows[0]  # it was the run before
     left = {path.name for path in Path("out/first").iterdir()}
     assert left == {"grid.json.gz", "report.html", "notes.txt", RECORD_NAME}
 
