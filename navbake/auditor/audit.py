@@ -537,7 +537,7 @@ CHECKS: dict[str, tuple[str, Callable[[Facts], Iterator[Finding]]]] = {
     "the room table contradicts the cells": ("room table", check_room_table),
     "nothing leads out of a room": ("no way out", check_rooms_without_way_out),
     "a door joins what it can't": ("doors", check_doors),
-    "cells have no size, or no place": ("levels", check_lattices),
+    "cells have no size, or no place": ("lattices", check_lattices),
     "levels are out of order": ("levels", check_level_order),
     "boxes exclude their own cells": ("boxes", check_boxes),
     "links lead nowhere": ("links", check_steps),
@@ -599,4 +599,4 @@ def audit(grid: NavGrid | str | PathLike[str]) -> AuditReport:
                 place = None  # the grid's corner may have infinite coordinates
             remarks.append(Remark(name, finding.severity, finding.level, place, finding.text))
     remarks.sort(key=lambda remark: remark.severity != ERROR)
-    return AuditReport(nav_grid.scene_id, remarks, list(CHECKS))
+    return AuditReport(nav_grid.scene_id, remarks, [name for name, _ in CHECKS.values()])

@@ -72,7 +72,7 @@ class AuditReport:
 
     scene_id: str | None
     remarks: list[Remark] = field(default_factory=list)  # errors first
-    checks: list[str] = field(default_factory=list)  # what the checks that ran look for
+    checks: list[str] = field(default_factory=list)  # that ran, by `Remark.check`
 
     @property
     def errors(self) -> list[Remark]:

@@ -492,7 +492,8 @@ def eroded(mask: Any) -> Any:
 @pytest.mark.parametrize("name", SAMPLES)
 def test_has_nothing_to_say_about_the_samples(name):
     report = assert_sound(GOLDEN / name)
-    assert report.checks == list(CHECKS)
+    assert report.checks == [name for name, _ in CHECKS.values()]
+    assert len(set(report.checks)) == len(report.checks)
     assert report.ok
 
 

@@ -22,7 +22,7 @@ from navbake.episodes import read_episodes
 from project_paths import GOLDEN, ROOT
 
 PAGE = (ROOT / "docs" / "command_line.md").read_text(encoding="utf-8")
-TABLE = PAGE.partition("## JSON")[2].partition("\n## ")[0]
+TABLE, _, INNER_TABLE = PAGE.partition("## JSON")[2].partition("\n## ")[0].partition("\n### ")
 NAMES = [function.__name__.replace("_", "-") for group in COMMANDS.values() for function in group]
 LINES = {  # command -> its arguments, in a folder with what they name
     "samples": "samples house -o try",
@@ -100,6 +100,16 @@ def prepare(run, command: str) -> None:
         run(*LINES["bake"].split())
 
 
+def write_grids_with_faults(run) -> None:
+    """Write a grid that disagrees with its scene, and one that audit finds errors in."""
+    run("bake", "room.yaml")
+    grid = load("room.grid.json")
+    grid.with_layers(weights=np.ones(grid.shape)).save("wrong.grid.json")
+    level = level_from("...")
+    level.attributes["floorHeight"] = np.full((1, 3), np.nan)
+    level.save("free.grid.json")
+
+
 @pytest.mark.parametrize("command", [name for name in NAMES if name != "batch"])
 def test_each_command_prints_one_object_with_the_keys_of_the_page(house, run, monkeypatch, command):
     if command == "view":
@@ -131,6 +141,31 @@ def test_flights_are_a_path_or_episodes_with_keys_of_their_own(house, run):
 def test_each_command_has_the_option_once(run, command):
     _, out, _ = run(command, "--help")
     assert len(re.findall(r"^  +--json ", out, flags=re.MULTILINE)) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "key", "row_title"),
+    [
+        (LINES["path"], "path", "`path` of `path`"),
+        (LINES["fly"], "path", "`path` of `fly`"),
+        (LINES["sample"], "places", "`places`"),
+        (LINES["stand"], "poses", "`poses`"),
+        (LINES["rooms"], "rooms", "`rooms`"),
+        ("audit free.grid.json", "remarks", "`remarks`"),
+        ("verify wrong.grid.json --scene room.yaml --all", "findings", "`findings`"),
+    ],
+)
+def test_the_page_has_the_keys_inside_of_objects(house, run, words, key, row_title):
+    write_grids_with_faults(run)
+    facts = json.loads(run(*words.split(), "--json")[1])
+    objects = facts[key] if isinstance(facts[key], list) else [facts[key]]
+    [row] = re.findall(rf"^\| {row_title} \| (.*) \|$", INNER_TABLE, flags=re.MULTILINE)
+    assert {name for item in objects for name in item} <= {*re.findall(r"`(\w+)`", row)}
+    assert objects[0].keys() >= {*re.findall(r"`(\w+)`", row)} - {
+        "outdoors", "checks", "error", "remark", "from"
+    }  # fmt: skip
+    if key == "remarks":
+        assert {remark["check"] for remark in objects} <= {*facts["checks"]}
 
 
 def test_quiet_prints_the_same_object(house, run):
@@ -249,14 +284,7 @@ def test_the_page_lists_all_statuses():
 )
 def test_a_command_ends_with_the_status_of_the_page(house, run, status, line):
     (house / "bad.yaml").write_text("scene: {path: none.xml}\n")
-    if line.startswith("verify"):
-        run("bake", "room.yaml")
-        grid = load("room.grid.json")
-        grid.with_layers(weights=np.ones(grid.shape)).save("wrong.grid.json")
-    if line.startswith("audit free"):
-        level = level_from("...")
-        level.attributes["floorHeight"] = np.full((1, 3), np.nan)
-        level.save("free.grid.json")
+    write_grids_with_faults(run)
     assert run(*line.split())[0] == status
 
 
