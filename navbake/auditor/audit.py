@@ -39,6 +39,7 @@ DEFAULT_MAX_SLOPE = 45.0  # of ramps, if the grid states no other [degrees]
 MAX_STEP_LENGTH = 1.5  # between the ends of a step, seen from above [cells]
 AREA_TOLERANCE = 0.01  # share by which a room's area and that in its entry may differ
 CENTER_TOLERANCE = 0.1  # distance of a room's centre from the one in its entry [cells]
+MAX_STOREY_HEIGHT = 15.0  # of a storey with rooms; halls are lower, bar a few [m]
 MIN_ROOM_AREA = 1.0  # floors with less area than this need no way out [m²]
 
 
@@ -119,6 +120,21 @@ def check_boxes(facts: Facts) -> Iterator[Finding]:
             yield Finding(
                 REMARK, level_number, facts.find_first_position(level_number, is_in_lower_box), text
             )
+
+
+def check_storey_heights(facts: Facts) -> Iterator[Finding]:
+    """Find levels with rooms whose box is so high that the scene is hardly in metres."""
+    for level_number, level in enumerate(facts.levels):
+        try:
+            has_indoor_room = not all(room.outdoors for room in level.rooms)
+        except FormatError:  # `check_room_table` says so
+            return
+        if level.bbox_yup is None or not has_indoor_room:
+            continue
+        height = (level.bbox_yup[1][1] - level.bbox_yup[0][1]) * level.unit
+        if height > MAX_STOREY_HEIGHT:
+            text = f"its storey is {format_length(height)} m high: is the unit right?"
+            yield Finding(REMARK, level_number, None, text)
 
 
 def _mark_cells_in_box(
@@ -540,6 +556,7 @@ CHECKS: dict[str, tuple[str, Callable[[Facts], Iterator[Finding]]]] = {
     "cells have no size, or no place": ("lattices", check_lattices),
     "levels are out of order": ("levels", check_level_order),
     "boxes exclude their own cells": ("boxes", check_boxes),
+    "a storey is very high": ("storey", check_storey_heights),
     "links lead nowhere": ("links", check_steps),
     "links are missing": ("no link", check_missing_steps),
     "a link stops where it can't": ("named links", check_named_links),

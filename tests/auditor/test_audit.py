@@ -417,6 +417,13 @@ def link_up_a_storey(grid):
     return restated(grid, links=links + grid.navbake["links"])
 
 
+@plant("house", REMARK, r"its storey is 26\.00 m high: is the unit right\?", 1)
+def high_storeys(grid):
+    """As of a house whose lengths are ten times too large."""
+    low, high = grid.levels[1].bbox_yup
+    grid.levels[1].bbox_yup = (low, (high[0], low[1] + 26.0, high[2]))
+
+
 @plant("apartment", ERROR, r"the agent of 1\.14 m takes steps of 2 m", -1)
 def giant_steps(grid):
     grid.metadata["traversableFloorHeight"] = 2.0
