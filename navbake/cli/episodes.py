@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 # Functions import what reads grids when they run: --help stays quick.
 
 EPISODE_SUFFIXES = (".jsonl", ".jsonl.gz", ".parquet")
+FOREIGN_SUFFIXES = (".json", ".json.gz", ".json.bz2", ".csv", ".csv.gz", ".csv.bz2")
+"""Endings of other programs' sets of episodes."""
 SET_FORMATS = ("habitat-pointnav", "habitat-objectnav", "habitat-vln", "minos", "molmospaces")
 """Names of other programs' formats of sets of episodes."""
 
@@ -110,6 +112,11 @@ def episodes(
     """
     if total is not None and per_scene is not None:
         raise BadParameter("expected one of them", param_hint="--count, --per-scene")
+    if output.name.lower().endswith(FOREIGN_SUFFIXES):
+        endings_text = ", ".join(EPISODE_SUFFIXES)
+        remedy = f"`navbake convert SET.jsonl {output}` writes it then"
+        problem = f"expected a name that ends in {endings_text}, got {output}: {remedy}"
+        raise BadParameter(problem, param_hint="-o")
     options.check_output(output, *EPISODE_SUFFIXES, inputs=grids)
     from msgspec import ValidationError, convert  # --help does without it
 
@@ -258,11 +265,13 @@ def convert_episode_set(
         scenes: name of a scene -> its name in the other program.
     """
     from navbake.episodes import read_episodes, write_episodes  # loads numpy
+    from navbake.episodes.files import SCENE_FIELD
 
     options.check_output(output, inputs=[source])
     episode_set = read_episodes(source, scenes)
     scene_names = {episode.scene for episode in episode_set.episodes}
-    if scenes and scene_names.isdisjoint(scenes):  # other scenes may be in other files
+    is_named = not scene_names.isdisjoint(scenes) or SCENE_FIELD in scenes
+    if scenes and not is_named:  # other scenes may be in other files
         name = min(scenes)
         problem = f"--scene {name}={scenes[name]} fits no scene of {source}"
         raise ConfigError(f"{problem}: {suggest(name, sorted(scene_names))}")
@@ -270,6 +279,10 @@ def convert_episode_set(
     add_files(output)
     add_facts(scenes=[{"scene_id": scene_name} for scene_name in sorted(scene_names)])
     say_unless_quiet(output)
+    if not scenes and not output.name.lower().endswith(EPISODE_SUFFIXES):
+        name = min(scene_names, default="ID")
+        example = "--scene '{id}=data/{id}.glb'"
+        say_unless_quiet(f"its scenes are called as here, as {name!r}: `{example}` names them anew")
     if missing_data:
         print_warnings([f"{output} doesn't hold: {', '.join(missing_data)}"])
 
@@ -293,7 +306,9 @@ def score(
     ),
     seed: int = option("N", "Seed of the confidence intervals.", default=0, min=0),
     scene: list[str] | None = option(
-        "NAME=ID", "What a set of another program calls a scene. May be repeated."
+        "NAME=ID",
+        "What a set of another program calls a scene; {id}=data/{id}.glb names all. May be "
+        "repeated.",
     ),
     doors: str | None = DOORS_OPTION,
     partial: bool = flag("--partial", "Leave out episodes without a trajectory."),

@@ -120,7 +120,9 @@ def convert(
         completion=completion.list_read_formats,
     ),
     scene: list[str] | None = option(
-        "NAME=ID", "What the other program calls a scene, in a set of episodes. May be repeated."
+        "NAME=ID",
+        "What the other program calls a scene, in a set of episodes; {id}=data/{id}.glb names all. "
+        "May be repeated.",
     ),
 ) -> None:
     if output == STDOUT and to is None:

@@ -13,7 +13,8 @@ import csv
 import gzip
 import io
 import os
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 
 import msgspec
@@ -25,6 +26,7 @@ from navbake.formats.allowance import Allowance, JsonPath
 from navbake.formats.source import format_path, import_extra, read_bytes, unpack, write_bytes
 from navbake.known_names import suggest
 
+SCENE_FIELD = "{id}"  # in a name of scenes: stands for the id of each
 METADATA_KEY = b"navbake"  # key of a Parquet file's metadata that has the header
 TEXT_COLUMNS = ("id", "scene", "task", "split", "room")  # in a Parquet file, besides ``episode``
 NUMBER_COLUMNS = ("heading", "distance", "straight", "ratio")
@@ -41,13 +43,15 @@ def read_episodes(
 
     Args:
         path: the path of the file, plain or packed.
-        scenes: for a file of another program: navbake's id of a scene -> its name in the file.
+        scenes: for a file of another program: navbake's id of a scene -> its name in the file. The
+            id ``{id}`` stands for all others: its name has ``{id}`` in it, as ``data/{id}.glb``.
 
     Returns:
         The set.
 
     Raises:
         FormatError: the file can't be read, or has no set; the message names file, line and field.
+            Or a name with ``{id}`` fits no scene of the file.
         MissingDependencyError: the file is Parquet, and pyarrow is not installed.
     """
     packed_content, name = read_bytes(path)
@@ -61,7 +65,9 @@ def read_episodes(
         raise FormatError(f"{error} in {name}") from error
     if set_format in NAVBAKE_FORMATS.values() or scenes is None:
         return episode_set
+    names = {episode.scene for episode in episode_set.episodes}
     scene_of_name = {foreign_name: scene for scene, foreign_name in scenes.items()}
+    scene_of_name |= _match_template(scenes, names - scene_of_name.keys(), name)
     return _rename_scenes(episode_set, scene_of_name)
 
 
@@ -87,7 +93,8 @@ def write_episodes(
         content: the set.
         path: the path of the file; the endings ``.gz`` and ``.bz2`` pack it.
         form: a name of `EPISODE_FORMATS`; if None, the first that fits the ending and the tasks.
-        scenes: for a file of another program: navbake's id of a scene -> its name in the file.
+        scenes: for a file of another program: navbake's id of a scene -> its name in the file; see
+            `read_episodes`.
 
     Returns:
         The names of the fields that some episode has, but that the file can't hold.
@@ -99,7 +106,12 @@ def write_episodes(
     set_format = EPISODE_FORMATS[format_name]
     _, packing_ending = _split_endings(path)
     is_navbake_format = format_name in NAVBAKE_FORMATS
-    written_set = content if is_navbake_format else _rename_scenes(content, scenes or {})
+    written_set = content
+    if not is_navbake_format and scenes:
+        template = scenes.get(SCENE_FIELD, SCENE_FIELD)
+        names = {episode.scene for episode in content.episodes}
+        name_of_scene = {name: template.replace(SCENE_FIELD, name) for name in names}
+        written_set = _rename_scenes(content, name_of_scene | dict(scenes))
     compress = COMPRESSORS.get(packing_ending, bytes)
     write_bytes(compress(set_format.encode(written_set, format_name)), path)
     if is_navbake_format:
@@ -172,6 +184,35 @@ def _rename_scenes(episode_set: EpisodeSet, new_name_of_scene: Mapping[str, str]
         for episode in episode_set.episodes
     ]
     return EpisodeSet(episode_set.header, tuple(renamed_episodes))
+
+
+def _match_template(
+    scenes: Mapping[str, str], foreign_names: Iterable[str], file_name: str
+) -> dict[str, str]:
+    """Find the ids of scenes whose names in a file fit the name with ``{id}``.
+
+    Args:
+        scenes: navbake's id of a scene -> its name in the file, see `read_episodes`.
+        foreign_names: names of scenes in the file.
+        file_name: the file's name, for the error.
+
+    Returns:
+        Name of a scene in the file -> its id; empty without a name with ``{id}``.
+
+    Raises:
+        FormatError: no scene of the file fits.
+    """
+    template = scenes.get(SCENE_FIELD)
+    if template is None:
+        return {}
+    before, _, after = template.partition(SCENE_FIELD)
+    pattern = re.compile(f"{re.escape(before)}(.+?){re.escape(after)}")
+    matches = {name: pattern.fullmatch(name) for name in foreign_names}
+    scene_of_name = {name: match[1] for name, match in matches.items() if match}
+    if matches and not scene_of_name:
+        example = min(matches)
+        raise FormatError(f"no scene of {file_name} is called as {template}: one is {example!r}")
+    return scene_of_name
 
 
 def encode_lines(episode_set: EpisodeSet, _: str) -> bytes:

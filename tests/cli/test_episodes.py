@@ -164,6 +164,34 @@ def test_sets_are_converted(run):
         assert status == 2 and "does nothing here" in err
 
 
+def test_scenes_are_named_by_a_template(run):
+    shutil.copy(GOLDEN / "tower.grid.json.gz", "tower.json.gz")
+    args = ("episodes", "house.json.gz", "tower.json.gz", "-o", "set.jsonl", "--count", "6", "-q")
+    assert run(*args)[0] == 0
+    template = ("--scene", "{id}=data/{id}/it.glb")
+    status, out, err = run("convert", "set.jsonl", "a.json.gz", *template)
+    assert (status, out, err) == (0, "a.json.gz\n", "")
+    names = {e.scene for e in read_episodes("a.json.gz").episodes}
+    assert names == {"data/house/it.glb", "data/tower/it.glb"}
+    assert run("convert", "a.json.gz", "b.jsonl", *template, "-q")[0] == 0
+    assert {e.scene for e in read_episodes("b.jsonl").episodes} == {"house", "tower"}
+    one_more = (*template, "--scene", "house=h.glb")  # a scene's own name comes first
+    assert run("convert", "set.jsonl", "c.json.gz", *one_more)[0] == 0
+    names = {e.scene for e in read_episodes("c.json.gz").episodes}
+    assert names == {"h.glb", "data/tower/it.glb"}
+    assert run("convert", "c.json.gz", "d.jsonl", *one_more, "-q")[0] == 0
+    assert {e.scene for e in read_episodes("d.jsonl").episodes} == {"house", "tower"}
+    status, _, err = run("convert", "a.json.gz", "e.jsonl", "--scene", "{id}=scenes/{id}.glb")
+    assert status == 1 and "is called as scenes/{id}.glb: one is 'data/house/it.glb'" in err
+    status, out, _ = run("convert", "set.jsonl", "f.json.gz")
+    assert status == 0 and "as 'house': `--scene '{id}=data/{id}.glb'` names them anew" in out
+
+
+def test_other_programs_sets_are_made_by_convert(run):
+    status, _, err = run("episodes", "house.json.gz", "-o", "pn.json.gz")
+    assert status == 2 and "`navbake convert SET.jsonl pn.json.gz`" in err
+
+
 def test_another_grid_is_refused(run):
     assert run("episodes", "house.json.gz", "-o", "set.jsonl", "--count", "5")[0] == 0
     drive()
