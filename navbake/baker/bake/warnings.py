@@ -476,7 +476,8 @@ def _warn_interleaved(
     )
     names = ", ".join(repr(floors.levels[level].name) for level in boxes.misplaced_levels)
     yield (
-        f"levels interleave in height: MINOS's client finds a position's level by `bbox` "
-        f"and misses {boxes.num_misplaced_cells} of {num_free_cells} free cells, on {names}; "
+        f"only for users of MINOS: levels interleave in height, and its client, which finds a "
+        f"position's level by `bbox`, misses {boxes.num_misplaced_cells} of {num_free_cells} free "
+        f"cells, on {names}; "
         f"navbake goes by floors and misses none; other grounds in `levels` may part them"
     )

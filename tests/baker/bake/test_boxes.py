@@ -37,6 +37,7 @@ def check_client(grid, warnings, most_lost=0.0):
     assert look_up(grid, by_cells=True).lost == found.lost
     if found.lost:
         [warning] = interleaved(warnings)
+        assert warning.startswith("only for users of MINOS: ")
         assert f"misses {found.lost} of " in warning
     else:
         assert not interleaved(warnings)
