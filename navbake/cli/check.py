@@ -19,10 +19,19 @@ import navbake
 from navbake import samples
 from navbake._version import __version__
 from navbake.cli import options
-from navbake.cli.options import PICTURE_OPTION, SCENE_OPTION, GridFile, ModelPath, flag, option
+from navbake.cli.options import (
+    PICTURE_OPTION,
+    SCENE_OPTION,
+    GridFile,
+    ModelPath,
+    argument,
+    flag,
+    option,
+)
 from navbake.cli.printing import add_facts, print_tables, say
 from navbake.errors import NavbakeError, count_of
 from navbake.formats.convert import read_as
+from navbake.formats.format_table import GRID_FORMATS
 from navbake.lazy import lazy
 from navbake.lengths import format_length
 from navbake.views.tables import make_table
@@ -55,6 +64,15 @@ second the scene's.
 """
 SAMPLED_CELLS = 100_000  # how many cells `verify` looks at by default
 MAX_LISTED_FINDINGS = 20  # how many disagreements `verify`, and remarks `audit`, print
+# endings of graphs of routes that no grid has that is read
+ROUTE_ENDINGS = (".geojson", ".graphml", ".gml", ".lif")
+# endings of grids of other programs, which `audit` reads as `convert` does
+MAP_ENDINGS = tuple(
+    ending
+    for form in GRID_FORMATS
+    if form.read and form.name != "navgrid"
+    for ending in form.endings
+)
 CHECKED_SAMPLE = "apartment"  # the sample that `doctor` bakes
 # a bake of the sample takes longer only if something is wrong: usual are 0.05 to 0.2 s [s]
 USUAL_BAKE_SECONDS = 0.5
@@ -149,7 +167,7 @@ def _print_report(report: VerifyReport) -> None:
 
 
 def audit(
-    grid: GridFile,
+    grid: Path = argument("GRID", "A NavGrid file, a map, or with --grid a graph of routes."),
     output: Path | None = PICTURE_OPTION,
     routes_grid: Path | None = option(
         "FILE", "GRID is a graph of routes on this grid or map.", "--grid"
@@ -165,13 +183,16 @@ def audit(
     Example: navbake audit house.grid.json -o remarks.png
     """
     options.refuse_unused(("--radius", radius is not None, routes_grid is not None, "--grid"))
+    if routes_grid is None and grid.name.lower().endswith(ROUTE_ENDINGS):
+        raise BadParameter(f"{grid} is a graph of routes: add --grid GRID", param_hint="GRID")
     if output is not None:
         inputs = [grid] if routes_grid is None else [grid, routes_grid]
         options.check_output(output, *options.PICTURE_SUFFIXES, inputs=inputs)
     from navbake.auditor.audit import audit as audit_grid  # loads numpy
 
     if routes_grid is None:
-        nav_grid = navbake.load(grid)
+        is_map = grid.name.lower().endswith(MAP_ENDINGS)
+        nav_grid = read_as(grid) if is_map else navbake.load(grid)
         report = audit_grid(nav_grid)
     else:
         from navbake.auditor.routes import audit_routes  # loads it too

@@ -210,6 +210,9 @@ def convert(
         options.write_output(content, output)
         return
     for path in content_by_path:
+        if path in inputs and path != output:
+            problem = f"{output} comes with {path}, which is an input"
+            raise ConfigError(f"{problem}: choose another name for OUT")
         options.check_output(path, inputs=inputs)
     for path in write_files(content_by_path):
         add_files(path)

@@ -27,6 +27,7 @@ from navbake.formats.source import format_path, import_extra, read_bytes, unpack
 from navbake.known_names import suggest
 
 SCENE_FIELD = "{id}"  # in a name of scenes: stands for the id of each
+TRAJECTORY_LINE = re.compile(rb'\s*\{\s*"(episode|positions)"\s*:')  # see `read_trajectories`
 METADATA_KEY = b"navbake"  # key of a Parquet file's metadata that has the header
 TEXT_COLUMNS = ("id", "scene", "task", "split", "room")  # in a Parquet file, besides ``episode``
 NUMBER_COLUMNS = ("heading", "distance", "straight", "ratio")
@@ -226,6 +227,9 @@ def encode_lines(episode_set: EpisodeSet, _: str) -> bytes:
 def read_lines(text: bytes, name: str) -> ParsedSet:
     """Read the header and the episodes of a set from JSON lines; errors name the line."""
     lines = text.splitlines()
+    if lines and TRAJECTORY_LINE.match(lines[0]):
+        problem = f"{name} has trajectories, not episodes"
+        raise FormatError(f"{problem}: the set comes first, navbake score SET TRAJECTORIES")
     header = decode(lines[0] if lines else b"", Header, f"{name}, line 1")
     if header.format != FORMAT or header.version > VERSION:
         actual_format = f"{header.format!r} of version {header.version}"

@@ -53,6 +53,13 @@ def test_a_map_states_the_radius_that_its_cells_are_blocked_for(run):
     assert len(remarks) > 20 and remarks[0]["check"] == "lanes"
 
 
+def test_a_map_is_audited_as_it_is(run):
+    run("convert", "house.json.gz", "map.yaml", "--level", 1)
+    status, out, _ = run("audit", "map.yaml", "-o", "map.png")
+    assert status == 0 and out.endswith(" checks: 0 errors, 0 remarks\n")
+    assert Path("map.png").exists()
+
+
 def test_lanes_for_nav2_leave_the_stairs_out_as_its_maps_do(run):
     for words, climbs in (
         (("-o", "a.geojson"), False),

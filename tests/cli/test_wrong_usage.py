@@ -34,6 +34,10 @@ CASES = [
     ("why house.json.gz 1,1 --at 1,2", 2, "got '1,2' and '1,1'"),
     ("why house.json.gz --at 1.5 0.2", 2, "got '1.5' and '0.2'"),
     ("inflate house.json.gz -o a.json", 2, "expected one radius"),
+    ("audit a.geojson", 2, "GRID: a.geojson is a graph of routes: add --grid GRID"),
+    ("bake houze", 1, "no scene file at houze: did you mean the sample 'house'?"),
+    ("score runs.jsonl set.jsonl", 1, "runs.jsonl has trajectories, not episodes: the set comes"),
+    ("convert saver.yaml saver.xml", 1, "saver.xml comes with saver.yaml, which is an input"),
     ("convert room.xml a.yaml", 2, "room.xml is a scene: bake it first, navbake bake room.xml"),
     # one of some words
     ("convert house.json.gz a.yaml --stairs open", 2, "'--stairs': expected occupied or free, got"),
@@ -213,6 +217,8 @@ def place(tmp_path_factory):
     (place / "arena.json").write_text("[]")
     shutil.copy(GOLDEN / "house.grid.json.gz", place / "house.json.gz")
     navbake.bake(place / "arena.yaml").save(place / "arena.grid.json")
+    navbake.load(place / "arena.grid.json").to_nav2(place / "saver.yaml")
+    (place / "runs.jsonl").write_text('{"episode": "1", "positions": [[0, 0, 0]]}\n')
     np.savez(place / "several.npz", np.ones((3, 3)))
     return place
 

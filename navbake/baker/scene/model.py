@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import mujoco
 import numpy as np
 
+from navbake import samples
 from navbake.baker.readers.mesh import (
     MESH_SUFFIXES,
     NamedMesh,
@@ -60,7 +61,7 @@ from navbake.formats.scene_files import (
     scene_suffix,
 )
 from navbake.formats.xml_files import find_root_tag, parse_xml
-from navbake.known_names import list_first, unique_name
+from navbake.known_names import find_similar_names, list_first, unique_name
 from navbake.lazy import resolve
 from navbake.mujoco_types import MjDataLike, MjModelLike, MjSpecLike
 from navbake.processes import describe_exit, end_with_parent, is_lack_of_memory, limit_memory
@@ -156,7 +157,9 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> SceneModel:
     suffix = scene_suffix(path)
     try:
         if not path.exists():
-            raise SceneError(f"no scene file at {path}")
+            near_samples = find_similar_names(path, samples.names())
+            hint = f": did you mean the sample {near_samples[0]!r}?" if near_samples else ""
+            raise SceneError(f"no scene file at {path}{hint}")
         if not path.is_file():
             path_type = "folder" if path.is_dir() else "device"
             raise SceneError(f"expected a scene file, got a {path_type} at {path}")
