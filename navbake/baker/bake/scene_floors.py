@@ -66,7 +66,8 @@ def find_scene_floors(
             floors = crop_floors(floors, floor_lattice.window)
     except SceneError as error:
         text = str(error)
-        advice = _advise_ground(scene, config)
+        # a wrong unit or axis is the first thing to mend
+        advice = "; ".join(scene.hints) or _advise_ground(scene, config)
         if advice and text.startswith(NO_FLOOR_PREFIX):
             text = f"{NO_FLOOR_PREFIX}{advice}; {text.removeprefix(NO_FLOOR_PREFIX)}"
         raise SceneError(f"{config.scene.path}: {text}{_describe_extent(scene, config)}") from error
@@ -170,8 +171,8 @@ def _describe_extent(scene: Scene, config: BakeConfig) -> str:
     """Describe where a scene without floor lies: its axes, unit or bounds are often wrong."""
     if scene.bounds is None:
         return ""
-    hint_text = "; ".join(scene.hints)
-    if scene.exact_meshes and not hint_text:
+    hint_text = ""
+    if scene.exact_meshes and not scene.hints:
         up = config.scene.up
         unit = config.scene.unit
         hint_text = (

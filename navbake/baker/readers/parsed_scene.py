@@ -312,7 +312,9 @@ def build_model(
         problem_text = f"all geometry lies beyond {MAX_COORDINATE:g} m, as {stray_names[0]!r}"
         raise SceneError(f"{problem_text} of {path}: check its poses and units")
     if not geoms:
-        raise SceneError(f"no geometry in {path}: expected at least one mesh or solid")
+        reasons_text = "".join(f"; {warning}" for warning in parsed_scene.warnings)
+        problem_text = f"no geometry in {path}: expected at least one mesh or solid"
+        raise SceneError(f"{problem_text}{reasons_text}")
 
     def build() -> mujoco.MjModel:
         spec = mujoco.MjSpec()

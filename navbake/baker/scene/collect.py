@@ -139,14 +139,14 @@ def select_geoms(
             hidden_text = find_hidden(geom)
             if hidden_text:
                 mesh_modes[geom] = "surface"
-                surface_names.append(names[geom].geom)
+                surface_names.append(_describe_mesh_geom(geom, names[geom]))
                 first_hidden_text = first_hidden_text or hidden_text
             else:
                 mesh_modes[geom] = "hull"
     if surface_names:
         num_more_text = f", and {len(surface_names) - 1} more" if len(surface_names) > 1 else ""
         warnings.append(
-            f"mesh geom {surface_names[0]!r}{num_more_text} counts by its triangles, because its "
+            f"mesh geom {surface_names[0]}{num_more_text} counts by its triangles, because its "
             f"convex hull hides {first_hidden_text}; MuJoCo collides the hull: set `scene.meshes` "
             "to surface or hull to say which"
         )
@@ -155,6 +155,13 @@ def select_geoms(
         for decision, mesh_mode in zip(decisions, mesh_modes, strict=True)
     ]
     return selections, warnings
+
+
+def _describe_mesh_geom(geom: int, names: GeomNames) -> str:
+    """Return the name of a geom with a mesh; of one without a name, those of its mesh and body."""
+    if names.geom != f"geom {geom}":
+        return repr(names.geom)
+    return f"{names.geom!r} (mesh {names.mesh!r} of body {names.body!r})"
 
 
 def _find_mesh_modes(

@@ -382,6 +382,17 @@ def test_no_floor_tells_where_the_scene_is(tmp_path):
         run_bake(parse_config(settings))
 
 
+def test_no_floor_in_a_scene_of_another_unit_begins_with_the_unit(tmp_path):
+    path = tmp_path / "small.xml"
+    path.write_text(
+        '<mujoco><worldbody><geom type="box" size=".04 .03 .001"/></worldbody></mujoco>'
+    )
+    settings = {"scene": {"path": str(path)}, "grid": {"cell_size": 0.01}}
+    with pytest.raises(SceneError, match=r"no floor: the scene is only 0.08 m large: ") as error:
+        run_bake(parse_config(settings))
+    assert str(error.value).count("only 0.08 m large") == 1
+
+
 def test_no_floor_beside_an_endless_plane_tells_of_the_margin(tmp_path):
     path = tmp_path / "plane.xml"
     path.write_text(

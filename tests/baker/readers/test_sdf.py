@@ -566,6 +566,8 @@ def test_outlines_that_enclose_nothing_are_told(tmp_path):
     scene = load(write(tmp_path, FLOOR + model(link(f"{flat}</geometry>"))))
     assert len(scene.geoms) == 1
     assert any("'m::l::c'" in text and "<polyline>" in text for text in scene.warnings)
+    with pytest.raises(navbake.SceneError, match=r"no geometry in .*'m::l::c'.* <polyline>"):
+        load(write(tmp_path, model(link(f"{flat}</geometry>"))))
 
 
 @pytest.mark.parametrize("num_points", [80, 300, 2000])

@@ -9,7 +9,8 @@ import pytest
 import trimesh
 
 import navbake
-from navbake.config.settings import SceneSettings
+from navbake.baker.scene.scene import load_scene
+from navbake.config.settings import SceneSettings, load_config
 from navbake.errors import SceneError
 from navbake.formats.scene_files import find_inputs
 from scene_files import WEDGE, write_dae
@@ -185,6 +186,21 @@ def test_flat_and_open_visuals_are_no_obstacle_to_loading(load, tmp_path):
     link = '<link name="a"><visual><geometry><mesh filename="flat.obj"/></geometry></visual></link>'
     scene = load(text=f'<robot name="r">{link}</robot>', geoms="visual")
     assert [geom.shape for geom in scene.geoms] == ["surface"]
+
+
+def test_a_mesh_without_a_name_is_told_by_its_link(tmp_path):
+    (tmp_path / "walls.obj").write_text(
+        "v 0 0 0\nv 9 0 0\nv 9 9 0\nv 0 9 0\nv 0 0 3\nv 9 0 3\nv 9 9 3\nv 0 9 3\n"
+        "f 1 2 3 4\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n"
+    )
+    path = tmp_path / "room.urdf"
+    path.write_text(
+        '<robot name="room"><link name="base"/><joint name="j" type="fixed"><parent link="base"/>'
+        '<child link="shell"/></joint><link name="shell"><collision><geometry>'
+        '<mesh filename="walls.obj"/></geometry></collision></link></robot>'
+    )
+    scene = load_scene(load_config(path))
+    assert any("'geom 0' (mesh 'walls' of body '" in text for text in scene.warnings)
 
 
 def test_a_missing_mesh_is_named(load):
