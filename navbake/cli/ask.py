@@ -395,6 +395,7 @@ def stand(
             say("`--doors open` opens all doors: then there is a pose")
     if output is not None and output.suffix.lower() == ".json":
         options.write_output(json.dumps(facts, indent=2).encode(), output)
+        printing.say_unless_quiet(output)
     elif output is not None:
         region = finder.stand_region(targets, **rules)
         from navbake.views.plot import Overlays  # loads numpy

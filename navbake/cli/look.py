@@ -94,8 +94,6 @@ def plot(
         titles=not no_title,
     )
     add_facts(scene_id=nav_grid.scene_id, level=level, layers=layer_names)
-    if output != STDOUT:
-        say_unless_quiet(output)
 
 
 def _parse_bounds(text: str) -> list[float]:

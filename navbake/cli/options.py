@@ -285,7 +285,7 @@ def check_output(
 
 
 def write_picture(grid: NavGrid, output: Path, **content: Any) -> None:
-    """Write a picture of a grid.
+    """Write a picture of a grid, and print its name unless it is stdout.
 
     Args:
         grid: the grid.
@@ -295,6 +295,8 @@ def write_picture(grid: NavGrid, output: Path, **content: Any) -> None:
     from navbake.views.plot import find_picture_format, render_picture  # loads numpy
 
     write_output(render_picture(grid, find_picture_format(output), **content), output)
+    if output != STDOUT:
+        printing.say_unless_quiet(output)
 
 
 def write_output(content: bytes, output: Path) -> None:

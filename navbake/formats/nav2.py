@@ -320,6 +320,14 @@ def read_map(
             map_yaml.free,
             FREE_THRESHOLD,
         )
+    yaw = map_yaml.origin[2]
+    if not occupancy.is_quarter_turn(yaw, values.shape):
+        LOG.warning(
+            "%s is turned by %g rad: it is laid on cells along the world's axes, and what is "
+            "occupied grows by up to a cell",
+            path,
+            yaw,
+        )
     values, lattice = occupancy.align_with_axes(values, map_yaml.origin, map_yaml.resolution)
     return values, lattice, map_yaml
 

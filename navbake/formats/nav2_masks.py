@@ -200,7 +200,8 @@ def _mark_areas(
         reason = "bars this agent" if agent else "bars all agents"
         if is_speed_mask:
             reason = "has a speed"
-        raise FormatError(f"a mask needs zones or areas: no area of the grid {reason}")
+        hint = "give --zone or --zones, or paint `areas` in the settings of the bake"
+        raise FormatError(f"a mask needs zones or areas, and no area of the grid {reason}: {hint}")
     costly_area_names = [
         area.name for area in grid.areas if area.cost != 1.0 and not area.bars(agent)
     ]

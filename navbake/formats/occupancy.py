@@ -214,6 +214,17 @@ def level_from_rooms(
     return level
 
 
+def is_quarter_turn(yaw: float, shape: tuple[int, int]) -> bool:
+    """Whether a map is turned by quarter turns, up to a tenth of a cell at its corners.
+
+    Args:
+        yaw: the map's yaw [rad].
+        shape: its rows and columns.
+    """
+    offset = abs(yaw - round(yaw / QUARTER_TURN) * QUARTER_TURN)
+    return offset * math.hypot(*shape) <= QUARTER_TOLERANCE
+
+
 def align_with_axes(
     values: OccupancyValues, origin: tuple[float, float, float], resolution: float
 ) -> tuple[OccupancyValues, Lattice]:
@@ -239,7 +250,7 @@ def align_with_axes(
     x, y, yaw = origin
     height, width = values.shape
     num_quarter_turns = round(yaw / QUARTER_TURN)
-    if abs(yaw - num_quarter_turns * QUARTER_TURN) * math.hypot(width, height) <= QUARTER_TOLERANCE:
+    if is_quarter_turn(yaw, values.shape):
         # how far the turned map reaches left of its origin and below it [cells]
         extent_left, extent_below = ((0, 0), (height, 0), (width, height), (0, width))[
             num_quarter_turns % 4

@@ -69,6 +69,14 @@ def cell_at(grid: GridBase, position: ArrayLike, level: int | None = None) -> Ce
     Raises:
         QueryError: The level does not exist, or the position is not valid.
     """
+    if isinstance(position, int | float) and level is not None:
+        expected = "a position in one argument, as in (1.5, -2.0)"
+        raise QueryError(
+            f"expected {expected}, got {position!r}, {level!r}",
+            key="position",
+            value=position,
+            expected=expected,
+        )
     cells = cells_at(grid, position, level)
     if cells.level.ndim:
         shape = np.shape(position)

@@ -96,7 +96,8 @@ def test_no_path_is_status_1_with_the_reason(plan):
 
 def test_draws_a_picture(plan, tmp_path):
     picture = tmp_path / "path.png"
-    assert plan(HOUSE, "--from", "0,-4.8,L0", "--to", "room:1:1", "-o", picture)[0] == 0
+    status, out, _ = plan(HOUSE, "--from", "0,-4.8,L0", "--to", "room:1:1", "-o", picture)
+    assert status == 0 and out.endswith(f"\n{picture}\n")
     assert picture.read_bytes().startswith(b"\x89PNG")
     empty = tmp_path / "none.png"
     assert plan(HOUSE, "--from", "99,0,0", "--to", "room:1:1", "-o", empty)[0] == 1
@@ -356,7 +357,8 @@ def test_stand_writes_poses_and_draws_them(run, tmp_path):
     arguments = ["stand", APARTMENT, "category:dining_chair", "1.8,-1.0,0.5", "-n", 2]
     status, out, _ = run(*arguments, "--eye", 1.0, "--no-facing", "-o", tmp_path / "poses.json")
     content = json.loads((tmp_path / "poses.json").read_text())
-    assert status == 0 and len(out.splitlines()) == 1 + len(content["poses"]) == 11
+    assert status == 0 and len(out.splitlines()) == 2 + len(content["poses"]) == 12
+    assert out.endswith("poses.json\n")
     assert {pose["target"] for pose in content["poses"]} >= {"dining_chair_4", "1.8, -1, 0.5"}
     assert content["why_not"] == {} and content["poses"][0]["path_length"] is None
     status, out, _ = run(*arguments, "--no-sight", "--json", "-o", tmp_path / "poses.png")

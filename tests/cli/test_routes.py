@@ -44,7 +44,7 @@ def test_a_map_states_the_radius_that_its_cells_are_blocked_for(run):
     status, out, _ = run("audit", "b.json", "--grid", "map.yaml", "-o", "b.png")
     assert status == 1 and Path("b.png").exists()
     lines = out.splitlines()
-    assert len(lines) == 23
+    assert len(lines) == 24 and lines[-1] == "b.png"
     assert re.search(r"passes an obstacle at 0\.\d+ m, the agent needs 0\.3 m", lines[0])
     assert re.fullmatch(r"and \d+ more: --json lists them", lines[20])
     assert lines[21] == "map.yaml states no radius: --radius 0 if its cells are inflated already"
@@ -56,7 +56,7 @@ def test_a_map_states_the_radius_that_its_cells_are_blocked_for(run):
 def test_a_map_is_audited_as_it_is(run):
     run("convert", "house.json.gz", "map.yaml", "--level", 1)
     status, out, _ = run("audit", "map.yaml", "-o", "map.png")
-    assert status == 0 and out.endswith(" checks: 0 errors, 0 remarks\n")
+    assert status == 0 and out.endswith(" checks: 0 errors, 0 remarks\nmap.png\n")
     assert Path("map.png").exists()
 
 

@@ -355,7 +355,7 @@ def test_thresholds_are_inclusive_on_main(tmp_path):
 
 
 @pytest.mark.parametrize("yaw", [1.5708, -1.5708, 3.1416, 6.2832])
-def test_a_rounded_quarter_turn_is_a_quarter(tmp_path, yaw):
+def test_a_rounded_quarter_turn_is_a_quarter(tmp_path, yaw, caplog):
     level = sample("apartment")
     (_, path) = level.to_nav2(tmp_path / "map.yaml")
     stated = yaml.safe_load(path.read_text())
@@ -364,19 +364,21 @@ def test_a_rounded_quarter_turn_is_a_quarter(tmp_path, yaw):
         stated["origin"][2] = turn
         path.write_text(yaml.safe_dump(stated))
         levels.append(navbake.from_nav2(path))
+    assert "is turned" not in caplog.text
     np.testing.assert_array_equal(levels[0].weights, levels[1].weights)
     assert levels[0].lattice == levels[1].lattice
     assert np.count_nonzero(levels[0].free) == np.count_nonzero(level.free)
 
 
 @pytest.mark.parametrize("yaw", [0.3, -1.2, math.pi / 4, math.pi / 2 + 0.005])
-def test_a_turned_cell_is_occupied_from_a_hundredth_on(tmp_path, yaw):
+def test_a_turned_cell_is_occupied_from_a_hundredth_on(tmp_path, yaw, caplog):
     level = random_level(5, (17, 23))
     (_, path) = level.to_nav2(tmp_path / "map.yaml")
     stated = yaml.safe_load(path.read_text())
     stated["origin"] = [0.0, 0.0, yaw]
     path.write_text(yaml.safe_dump(stated))
     turned = navbake.from_nav2(path)
+    assert f"is turned by {yaw:g} rad: it is laid on cells along the world's axes" in caplog.text
     blocked = np.argwhere(~level.free & ~np.isnan(level.floor))
     squares = [shapely.box(c, level.height - 1 - r, c + 1, level.height - r) for r, c in blocked]
     full = shapely.affinity.rotate(shapely.union_all(squares), yaw, (0, 0), use_radians=True)

@@ -162,6 +162,12 @@ def test_shapes_are_kept():
     assert flatten(house).cells_at(np.zeros((2, 3, 3))).shape == (2, 3)
 
 
+def test_two_numbers_are_no_position():
+    message = r"expected a position in one argument, as in \(1\.5, -2\.0\), got 1, 3"
+    with pytest.raises(QueryError, match=message):
+        make_house().at(1, 3)
+
+
 @pytest.mark.parametrize("ask", [cell_at, lambda g, *a: flatten(g).locate(*a)])
 @pytest.mark.parametrize(
     ("arguments", "message"),
