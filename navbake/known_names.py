@@ -10,6 +10,7 @@ from difflib import get_close_matches
 from navbake.errors import NavbakeError
 
 MAX_LISTED = 12  # known names that a hint lists
+MIN_PREFIX_LENGTH = 3  # of a name that a known one may be the long form of
 MIN_SIMILARITY = 0.85  # of two names, by `difflib`: 1 for equal ones
 
 
@@ -90,6 +91,10 @@ def suggest(
     if not near_names:
         near_names = [
             candidate for candidate in names if _is_two_edits(folded_name, candidate.casefold())
+        ]
+    if not near_names and len(folded_name) >= MIN_PREFIX_LENGTH:
+        near_names = [
+            candidate for candidate in names if candidate.casefold().startswith(folded_name)
         ]
     question_text = f"did you mean {near_names[0]!r}? " if near_names else ""
     more_text = f", and {len(names) - max_listed} more" if len(names) > max_listed else ""

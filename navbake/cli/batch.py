@@ -189,6 +189,7 @@ def batch(
             as_json=run_options.as_json,
             log=run_options.log,
             has_page=product_options.has_page,
+            only_merge=run_options.merge,
         )
         try:
             result = run.run_batch(
@@ -359,11 +360,13 @@ class _BatchWatch:
         as_json: bool,
         log: Path | None,
         has_page: bool,
+        only_merge: bool,
     ) -> None:
         self._stack = stack
         self._folder = folder
         self._as_json = as_json
         self._has_page = has_page
+        self._only_merge = only_merge
         self._line_writers: list[Callable[[Json], None]] = []
         if as_json:
             self._line_writers.append(printing.print_json_line)
@@ -480,7 +483,10 @@ class _BatchWatch:
         files_text = ", ".join(
             store.without_secrets(os.path.join(self._folder, name)) for name in file_names
         )
-        counts_text = _describe_counts(self._counts)
+        shown_counts = dict(self._counts)
+        if self._only_merge:  # slices baked them
+            shown_counts = {"merged": shown_counts.pop("skipped")} | shown_counts
+        counts_text = _describe_counts(shown_counts)
         say_unless_quiet(f"{counts_text}{warnings_text} in {seconds:.1f} s: {files_text}")
         if self._removed_names:
             names_text = ", ".join(sorted(self._removed_names))

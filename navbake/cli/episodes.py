@@ -334,6 +334,10 @@ def score(
         file_names = [entry.file for entry in episode_set.header.grids if entry.file]
         path_by_name = {name: content.parent / name for name in file_names}
         grids = [path if path.exists() else Path(name) for name, path in path_by_name.items()]
+        missing_grids = [path for path in grids if not path.exists()]
+        if missing_grids:
+            problem = f"no file {missing_grids[0]}, which {content} names, beside it or here"
+            raise QueryError(f"{problem}: give the grids, or the folder that they are in")
     elif len(grids) == 1 and grids[0].is_dir():
         grids = find_grids(episode_set, grids[0])
     are_flights = {episode.task for episode in episode_set.episodes} == {FLY_TASK}

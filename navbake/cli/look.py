@@ -182,6 +182,8 @@ def report(
         add_facts(scenes=[{"scene_id": scene_id} for scene_id in read_index(grids[0])])
         say_unless_quiet(page_path)
         return
+    if grids[0].name == "index.jsonl":
+        raise ConfigError(f"{grids[0]} is the index of a batch: give its folder, {grids[0].parent}")
     if output is None:
         raise BadParameter("expected a page to write", param_hint="-o")
     if verifications and len(verifications) != len(grids):

@@ -281,7 +281,10 @@ def check_output(
     try:
         files.check_writable(probe_path)
     except OSError as error:
-        raise ConfigError(f"cannot write {path}: {error.strerror}") from error
+        hint = ""
+        if not probe_path.parent.exists():
+            hint = f": make the folder {probe_path.parent} first"
+        raise ConfigError(f"cannot write {path}: {error.strerror}{hint}") from error
 
 
 def write_picture(grid: NavGrid, output: Path, **content: Any) -> None:
@@ -382,6 +385,8 @@ class NavbakeCommand(TyperCommand):
                 value = error.__cause__.errors()[0]["input"]
                 if repr(value) not in error.message:
                     error.message += f", got {value!r}"
+            if error.param is not None and error.param.nargs > 1:
+                error.message += f": it takes {error.param.nargs} values"
             raise
 
     def format_options(self, ctx: Any, formatter: Any) -> None:

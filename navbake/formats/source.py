@@ -64,8 +64,12 @@ OPENERS: dict[bytes, tuple[str, Callable[[BinaryIO], IO[bytes]]]] = {
 }
 LUMA_SHARES = (306, 601, 117)  # of red, green and blue in a pixel's luma, of 1024
 IMAGE_BEGINNINGS = {"PPM": (b"P2", b"P5", b"P3", b"P6"), "PNG": (b"\x89PNG",), "BMP": (b"BM",)}
+VOXEL_ENDINGS = (".bt", ".ot", ".binvox")
 NAVGRID_TEXT = "a NavGrid JSON object"
-NAVGRID_REMEDY = "navbake convert makes one of a map or an archive, navbake bake of a scene"
+NAVGRID_REMEDY = (
+    "navbake convert makes one of a map or an archive of a grid, navbake bake of a scene; "
+    "navbake fly takes voxels"
+)
 
 
 def format_path(path: str | os.PathLike[str]) -> str:
@@ -218,6 +222,13 @@ def read_navgrid_text(source: Source) -> tuple[bytes, int, JsonPath]:
         remedy = (
             f"of settings, `navbake bake {path_text}` makes one, of a map of nav2, "
             f"`navbake convert {path_text} {grid_path}`"
+        )
+    elif path.lower().endswith(VOXEL_ENDINGS):
+        path_text = format_path(path)
+        grid_path = format_path(f"{Path(path).stem}.grid.json")
+        remedy = (
+            f"of voxels, `navbake convert {path_text} {grid_path} --height 0.1:1.2` makes one, and "
+            f"`navbake fly {path_text}` takes them as they are"
         )
     text, name = read_bytes(source, beginnings=beginnings, expected=NAVGRID_TEXT, remedy=remedy)
     num_bytes = len(text)

@@ -336,7 +336,10 @@ def place_grid(
         raise ConfigError("expected either counts of cells or a size in metres, got both")
     covers_bounds = cells is None and size is None
     if covers_bounds and position is not None:
-        raise ConfigError("expected counts of cells or a size in metres beside the centre")
+        raise ConfigError(
+            "expected counts of cells (`--cells NX NY NZ`) or a size in metres (`--size X Y Z`) "
+            "beside the centre"
+        )
     if position is not None:
         center = check_three_numbers(position, "the centre to be x, y, z [m]")
     elif bounds is None or not np.isfinite(bounds).all():

@@ -69,6 +69,15 @@ def test_scenes_whose_episodes_make_no_set_are_summed_up(folder, run, here):
     assert run("batch", "list.csv", "-o", "2", *COARSE, *made, "--plan", *one_size)[2] == ""
 
 
+def test_scenes_that_slices_baked_are_merged(folder, run, here):
+    (folder / "list.csv").write_text("scene,id\nroom.xml,a\nroom.xml,b\n")
+    for slice_text in ("1/2", "2/2"):
+        arguments = ("list.csv", "-o", "out", *COARSE, "--slice", slice_text, "-q")
+        assert run("batch", *arguments)[0] == 0
+    status, out, _ = run("batch", "list.csv", "-o", "out", *COARSE, "--merge")
+    assert status == 0 and out.startswith("2 merged")
+
+
 def test_products_that_a_run_removes_are_named(folder, run, here):
     made = ("--make", "nav2", "--make", "inflated:0.2")
     assert run("batch", "room.xml", "-o", "out", *COARSE, *made, "-q")[0] == 0

@@ -121,7 +121,7 @@ def test_objects_by_a_file_of_categories_and_splits(run):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--rule", "min_dist=1"), "no rule 'min_dist' of a sampler: it has name, min_distance"),
+        (("--rule", "min_dist=1"), "no rule 'min_dist' of a sampler: did you mean 'min_distance'?"),
         (("--split", "train=0"), "shares"),
         (("--categories", "none.yaml", "--task", "object"), "no such file: none.yaml"),
         (("--task", "object", "--object", "unicorn"), "no object 'unicorn' in 'house'"),
@@ -282,6 +282,9 @@ def test_grids_in_folders_are_found_from_the_set_and_in_a_folder(run, tmp_path):
     status, out, err = run("score", "sets/set.jsonl", "runs.jsonl")
     assert (status, err) == (0, "") and "all: 4 episodes" in out
     (tmp_path / "grids").rename(tmp_path / "moved")
+    status, _, err = run("score", "sets/set.jsonl", "runs.jsonl")
+    assert status == 1 and "house/grid.json.gz, which" in err.replace("\\", "/")
+    assert "give the grids, or the folder that they are in" in err
     status, out, err = run("score", "sets/set.jsonl", "runs.jsonl", "moved")
     assert (status, err) == (0, "") and "all: 4 episodes" in out
     status, _, err = run("score", "sets/set.jsonl", "runs.jsonl", "sets")

@@ -180,7 +180,12 @@ CASES = [
     ("voxelize arena.xml -o a.binvox --twin", 2, "--twin: does nothing here"),
     ("voxelize arena.xml -o a.npz --segment top --twin", 2, "--twin: does nothing here"),
     ("voxelize arena.xml -o -", 2, "its ending says which format"),
-    ("voxelize arena.xml -o a.bt --center 0 0 0", 1, "beside the centre"),
+    ("voxelize arena.xml -o a.bt --center 0 0 0", 1, "(`--cells NX NY NZ`) or a size"),
+    ("voxelize arena.xml --cells 10 10 -o a.bt", 2, "got '-o': it takes 3 values"),
+    ("bake room.xml -o new/dir/x.json", 1, "make the folder new/dir first"),
+    ("report grids/index.jsonl", 1, "is the index of a batch: give its folder, grids"),
+    ("plot arena.bt -o a.png", 1, "`navbake convert arena.bt arena.grid.json --height 0.1:1.2`"),
+    ("episodes house.json.gz -o a.jsonl --rule min_dist=2", 1, "did you mean 'min_distance'?"),
     ("voxelize arena.xml -o a.bt --cells 0 1 1", 1, "whole numbers >= 1"),
     ("voxelize arena.xml -o a.bt --res 0", 1, "`res`"),
     ("voxelize arena.xml -o a.bt --res 1e-5", 1, "GiB of memory are free"),
@@ -215,6 +220,7 @@ def place(tmp_path_factory):
     write_arena(place)
     (place / "broken.yaml").write_text("scene: {path: room.xml}\nagnt: {}\n")
     (place / "arena.json").write_text("[]")
+    (place / "arena.bt").write_text("# Octomap OcTree binary file\n")
     shutil.copy(GOLDEN / "house.grid.json.gz", place / "house.json.gz")
     navbake.bake(place / "arena.yaml").save(place / "arena.grid.json")
     navbake.load(place / "arena.grid.json").to_nav2(place / "saver.yaml")
