@@ -78,8 +78,6 @@ def episodes(
         "SHARE",
         "Share of the free area that has to be explored, 0 to 1, with TASK explore.",
         default=0.9,
-        min=0.0,
-        max=1.0,
     ),
     sampler: str = option(
         "NAME",

@@ -53,11 +53,6 @@ CASES = [
     ),
     # numbers
     ("verify house.json.gz --sample 0", 2, "'--sample': expected a number >= 1, got '0'"),
-    (
-        "episodes house.json.gz -o a.jsonl --share 2",
-        2,
-        "'--share': expected a number <= 1, got '2'",
-    ),
     ("bake room.yaml --radius 30cm", 2, "expected a number, got '30cm'"),
     ("inflate house.json.gz 30cm -o a.json", 2, "'RADIUS': expected a number, got '30cm'"),
     ("sample house.json.gz --seed=x", 2, "'--seed': expected a whole number, got 'x'"),
