@@ -46,5 +46,6 @@ while state != "arrived" and len(frames) < 100:
     renderer.update_scene(data, camera)
     _ = [navbake.draw(renderer.scene, content) for content in (finder, path) if content]
     frames.append(Image.fromarray(renderer.render()))
+renderer.close()  # while MuJoCo and OpenGL are loaded
 frames[0].save("film.gif", save_all=True, append_images=frames[1:], duration=200, loop=0)
 print(f"{state} after {0.4 * len(frames):.1f} s, {len(frames)} frames in film.gif")
