@@ -211,8 +211,8 @@ def convert(
         return
     for path in content_by_path:
         if path in inputs and path != output:
-            problem = f"{output} comes with {path}, which is an input"
-            raise ConfigError(f"{problem}: choose another name for OUT")
+            problem = f"expected an output apart from the inputs, got {output}"
+            raise ConfigError(f"{problem}, which comes with {path}: choose another name")
         options.check_output(path, inputs=inputs)
     for path in write_files(content_by_path):
         add_files(path)

@@ -37,7 +37,7 @@ CASES = [
     ("audit a.geojson", 2, "GRID: a.geojson is a graph of routes: add --grid GRID"),
     ("bake houze", 1, "no scene file at houze: did you mean the sample 'house'?"),
     ("score runs.jsonl set.jsonl", 1, "runs.jsonl has trajectories, not episodes: the set comes"),
-    ("convert saver.yaml saver.xml", 1, "saver.xml comes with saver.yaml, which is an input"),
+    ("convert saver.yaml saver.xml", 1, "got saver.xml, which comes with saver.yaml: choose"),
     ("convert room.xml a.yaml", 2, "room.xml is a scene: bake it first, navbake bake room.xml"),
     # one of some words
     ("convert house.json.gz a.yaml --stairs open", 2, "'--stairs': expected occupied or free, got"),
