@@ -67,6 +67,8 @@ MAX_PROCESSES = 4  # the most processes that compile at the same time
 # second value [s]
 FIRST_PROGRESS_DELAY = 5.0
 MAX_PROGRESS_DELAY = 20.0
+# How long the rest takes is only said once this share of the functions is compiled
+LEAST_DONE_SHARE = 0.2
 KERNELS: list[Any] = []
 """The kernels of all modules imported so far; each is the dispatcher that `njit` returned."""
 
@@ -477,7 +479,8 @@ def _compile(entries: list[KernelEntry]) -> None:
         LOG.warning(f"compiling in memory: about {duration:.0f} s, in each process anew, {reason}")
     elif uncompiled:
         LOG.warning(
-            f"compiling for this machine, once: about {duration:.0f} s, more where it is busy"
+            f"compiling for this machine, once: about {duration:.0f} s, more where it is busy "
+            "(`navbake warm-up` compiles what all commands need)"
         )
     if folder is None or not uncompiled or not is_python:
         return  # each kernel is compiled when it is first called
@@ -498,7 +501,7 @@ def _compile(entries: list[KernelEntry]) -> None:
                 text = f"compiled {num_done} of {len(uncompiled)} functions"
                 text += f" after {elapsed_time:.0f} s"
                 pending_seconds = _total_seconds(pending)
-                if num_done:
+                if num_done >= LEAST_DONE_SHARE * len(uncompiled):
                     # as fast as so far, whatever the list of kernels says of another machine
                     speed = (_total_seconds(uncompiled) - pending_seconds) / elapsed_time
                     text += f": about {pending_seconds / speed:.0f} s left"
