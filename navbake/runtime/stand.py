@@ -158,7 +158,7 @@ def stand_poses(
         distances=distances[picked_indices],
         path_lengths=path_lengths[picked_indices],
         targets=tuple(stand_target.name for stand_target in targets),
-        target_boxes=np.stack([find_target_box(search, target) for target in targets]),
+        target_boxes=np.stack([find_target_box(search, stand_target) for stand_target in targets]),
         outline=_make_outline(search, rules),
         why_not=why_not,
     )
@@ -266,8 +266,8 @@ class ReachTest:
             stand_index = np.minimum(np.searchsorted(stands.cells, cells), last_index)
             is_stand = stands.cells[stand_index] == cells
             if self._tolerance is not None:
-                turns = wrap_angle(pose_headings - stands.headings[stand_index])
-                is_stand &= np.abs(turns) <= self._tolerance
+                heading_errors = wrap_angle(pose_headings - stands.headings[stand_index])
+                is_stand &= np.abs(heading_errors) <= self._tolerance
             is_reaching |= is_stand
         is_reaching[is_reaching] = self._site.fits(cells[is_reaching], pose_headings[is_reaching])
         return is_reaching

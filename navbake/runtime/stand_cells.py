@@ -357,18 +357,18 @@ class StandSite:
         Returns:
             Shape (k,); all are marked if each has a wall or a door, or if sight doesn't count.
         """
-        is_all = np.ones(len(target_cells), dtype=np.bool_)
+        all_cells = np.ones(len(target_cells), dtype=np.bool_)
         if self._rules.sight is False:
-            return is_all
+            return all_cells
         names = self._search.names
         entry_of_cell = names.entry_of_cell[target_cells]
-        entries = [number for number in np.unique(entry_of_cell).tolist() if number != NO_ENTRY]
         has_wall = np.zeros(len(names.entries) + 1, dtype=np.bool_)  # NO_ENTRY: the last
-        for number in entries:
-            entry = names.entries[number]
-            has_wall[number] = bool((entry.walls | entry.doors) - {target.name})
+        for entry_number in np.unique(entry_of_cell).tolist():
+            if entry_number != NO_ENTRY:
+                entry = names.entries[entry_number]
+                has_wall[entry_number] = bool((entry.walls | entry.doors) - {target.name})
         is_without_wall = ~has_wall[entry_of_cell]
-        return is_without_wall if is_without_wall.any() else is_all
+        return is_without_wall if is_without_wall.any() else all_cells
 
     def _look_at(
         self, window: Window, target: StandTarget, aim_places: Int, squares: Float
@@ -387,9 +387,9 @@ class StandSite:
         is_aim[tuple(aim_places.T)] = True
         hides_nothing = np.zeros(things.shape, dtype=np.bool_)
         companions: set[str] = set()
-        for number in np.unique(entry_of_cell[is_aim]).tolist():
-            if number != NO_ENTRY:
-                entry = names.entries[number]
+        for entry_number in np.unique(entry_of_cell[is_aim]).tolist():
+            if entry_number != NO_ENTRY:
+                entry = names.entries[entry_number]
                 companions |= entry.objects - entry.walls - entry.doors
         if companions:
             # what it stands on or in may end in a cell beside its own: the worktop over a drawer
@@ -468,9 +468,11 @@ class StandSite:
         entry_of_cell = view.window.cut(names.entry_of_cell)
         is_hidden = self._find_hidden(view, bases, aim_index)
         names_between: set[str] = set()
-        for number in range(len(bases)):
-            line_places = self._lines.list_cells(bases[number], view.aim_places[aim_index[number]])
-            hiding_places = line_places[is_hidden[number, : len(line_places)]]
+        for base, aim_place, is_hidden_at_step in zip(
+            bases, view.aim_places[aim_index], is_hidden, strict=True
+        ):
+            line_places = self._lines.list_cells(base, aim_place)
+            hiding_places = line_places[is_hidden_at_step[: len(line_places)]]
             for entry_number in entry_of_cell[tuple(hiding_places.T)].tolist():
                 if entry_number != NO_ENTRY:
                     names_between |= names.entries[entry_number].blocking
@@ -581,15 +583,8 @@ def _check_rules(rules: StandRules) -> None:
     """Check the rules that are numbers and names; raises QueryError."""
     expected = "a reach (least, greatest), 0 <= least <= greatest [m]"
     is_pair = isinstance(rules.reach, Sequence) and len(rules.reach) == 2
-    if not is_pair or not all(isinstance(length, RealNumber) for length in rules.reach):
-        raise QueryError(
-            f"expected {expected}, got {rules.reach!r}",
-            key="reach",
-            value=rules.reach,
-            expected=expected,
-        )
-    min_reach, max_reach = rules.reach
-    if not 0.0 <= min_reach <= max_reach < math.inf:
+    has_numbers = is_pair and all(isinstance(length, RealNumber) for length in rules.reach)
+    if not has_numbers or not 0.0 <= rules.reach[0] <= rules.reach[1] < math.inf:
         raise QueryError(
             f"expected {expected}, got {rules.reach!r}",
             key="reach",
@@ -656,8 +651,8 @@ def cut_squares(middles: Float, edges: Float, box: Float | None) -> Float:
         return squares
     lower_corners = np.maximum(squares[:, :2], box[:2])
     upper_corners = np.minimum(squares[:, 2:], box[3:5])
-    is_met = (lower_corners <= upper_corners).all(axis=1)
-    squares[is_met] = np.concatenate([lower_corners, upper_corners], axis=1)[is_met]
+    is_in_box = (lower_corners <= upper_corners).all(axis=1)
+    squares[is_in_box] = np.concatenate([lower_corners, upper_corners], axis=1)[is_in_box]
     return squares
 
 

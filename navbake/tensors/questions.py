@@ -768,32 +768,30 @@ def can_reach(
     xp = t.xp
     points = check_positions(t, positions)
     shape = tuple(points.shape[:-1])
-    headings = as_array(t, yaw)
-    if tuple(headings.shape) != shape:
-        yaw_shape = tuple(headings.shape)
-        raise QueryError(f"expected a yaw of shape {shape}, one for each position, got {yaw_shape}")
+    headings = _check_yaw(t, yaw, shape)
     targets = _check_targets(t, target, shape)
     num_cells = int(t.floor.shape[0])
     last_index = int(t.stand_key.shape[0]) - 1
 
-    def test(points: Array, headings: Array, targets: Array, scenes: Array) -> Array:
+    def test_poses(points: Array, headings: Array, targets: Array, scenes: Array) -> Array:
         cell, _, is_in_cell = locate_in_scenes(t, points, scenes)
-        is_known = is_in_cell & (targets >= 0)
-        keys = xp.astype(xp.where(is_known, targets * num_cells + cell, -1), t.stand_key.dtype)
+        is_valid = is_in_cell & (targets >= 0)
+        keys = xp.astype(xp.where(is_valid, targets * num_cells + cell, -1), t.stand_key.dtype)
         first_index = xp.searchsorted(t.stand_key, xp.reshape(keys, (-1,)), side="left")
         first_index = xp.reshape(xp.astype(first_index, t.index_dtype), keys.shape)
-        is_reaching = xp.zeros_like(is_known)
+        is_reaching = xp.zeros_like(is_valid)
         for repeat in range(t.stand_repeats):
             pose_index = clip(xp, first_index + repeat, 0, last_index)
             is_pose = t.stand_key[pose_index] == keys
             if tolerance is not None:
+                # the angle between the headings, as a number of whole turns
                 turns = (headings - t.stand_yaw[pose_index]) / (2.0 * math.pi)
                 is_pose = is_pose & (xp.abs(turns - xp.round(turns)) * (2.0 * math.pi) <= tolerance)
             is_reaching = is_reaching | is_pose
         return is_reaching
 
     scenes = check_scenes(t, scene_id, shape)
-    return apply_in_chunks(t, test, points, headings, targets, scenes)
+    return apply_in_chunks(t, test_poses, points, headings, targets, scenes)
 
 
 def _check_targets(tensors: GridTensors, target: Ids, shape: tuple[int, ...]) -> Array:
