@@ -14,9 +14,7 @@ from navbake.views.viewer.meshes import CAP_SHADE, Surface, draw_surfaces, to_li
 
 trimesh = lazy("trimesh")  # loads slowly
 
-VOXEL_MARGIN = (
-    0.003  # boxes of voxels are larger on each side, so that geometry doesn't flicker [m]
-)
+VOXEL_MARGIN = 0.003  # boxes are larger on each side, so that geometry doesn't flicker [m]
 LOW_SHADE = 0.55  # brightness of the lowest voxels, relative to the highest
 END_SCALE = 1.15  # of the balls at both ends of a tube, relative to its radius
 STRAIGHT_TOLERANCE = 1e-6  # how far a point may be off a line that goes on straight [m]
@@ -94,13 +92,11 @@ def draw_tube(positions: Float, radius: float, start_color: str, color: str) -> 
         The triangles as GLB.
     """
     corners = _drop_straight_points(positions)
-    start_ball = trimesh.creation.icosphere(subdivisions=3, radius=END_SCALE * radius)
-    surfaces = [_make_surface(start_ball.vertices + positions[0], start_ball.faces, start_color)]
-    end_ball = trimesh.creation.icosphere(subdivisions=3, radius=END_SCALE * radius)
-    surfaces.append(_make_surface(end_ball.vertices + positions[-1], end_ball.faces, color))
-    for place in corners[1:-1]:
-        joint = trimesh.creation.icosphere(subdivisions=3, radius=radius)
-        surfaces.append(_make_surface(joint.vertices + place, joint.faces, color))
+    surfaces = [
+        _make_ball(positions[0], END_SCALE * radius, start_color),
+        _make_ball(positions[-1], END_SCALE * radius, color),
+    ]
+    surfaces += [_make_ball(corner, radius, color) for corner in corners[1:-1]]
     for begin, end in pairwise(corners):
         if not np.array_equal(begin, end):
             leg = trimesh.creation.cylinder(radius, segment=[begin, end], sections=NUM_SIDES)
@@ -111,13 +107,20 @@ def draw_tube(positions: Float, radius: float, start_color: str, color: str) -> 
 def _drop_straight_points(positions: Float) -> Float:
     """Leave out points at which a line goes on straight: their joints would show on the tube."""
     corners = [positions[0]]
-    for place, next_place in pairwise(positions[1:]):
-        # the triangle's height over the line from the last corner to the next point
-        along = next_place - corners[-1]
-        area = np.linalg.norm(np.cross(along, place - corners[-1]))
-        if area > STRAIGHT_TOLERANCE * np.linalg.norm(along):
-            corners.append(place)
+    for point, next_point in pairwise(positions[1:]):
+        # how far the point is off the line from the last corner to the next point: the area of a
+        # parallelogram over its base; multiplied by the base, since that may be 0
+        base = next_point - corners[-1]
+        area = np.linalg.norm(np.cross(base, point - corners[-1]))
+        if area > STRAIGHT_TOLERANCE * np.linalg.norm(base):
+            corners.append(point)
     return np.array([*corners, positions[-1]])
+
+
+def _make_ball(center: Float, radius: float, color: str) -> Surface:
+    """Make a ball round a point, world x, y, z [m], of one colour, ``#rrggbb``."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=radius)
+    return _make_surface(ball.vertices + center, ball.faces, color)
 
 
 def _make_surface(vertices: Float, faces: Int, color: str) -> Surface:
