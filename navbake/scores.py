@@ -237,8 +237,7 @@ def bootstrap(
     Returns:
         The mean and the interval.
     """
-    valid_values = np.asarray(values, dtype=np.float64).ravel()
-    valid_values = valid_values[~np.isnan(valid_values)]
+    valid_values = _drop_nan(values)
     num_values = len(valid_values)
     if not num_values:
         return Interval(math.nan, math.nan, math.nan, 0)
@@ -266,8 +265,7 @@ def wilson_interval(values: ArrayLike, *, certainty: float = 0.95) -> Interval:
     Source:
         E. B. Wilson, Probable inference, the law of succession, and statistical inference, 1927.
     """
-    valid_values = np.asarray(values, dtype=np.float64).ravel()
-    valid_values = valid_values[~np.isnan(valid_values)]
+    valid_values = _drop_nan(values)
     num_values = len(valid_values)
     if not num_values:
         return Interval(math.nan, math.nan, math.nan, 0)
@@ -280,6 +278,12 @@ def wilson_interval(values: ArrayLike, *, certainty: float = 0.95) -> Interval:
     low = 0.0 if share == 0.0 else center - half_width
     high = 1.0 if share == 1.0 else center + half_width
     return Interval(share, low, high, num_values)
+
+
+def _drop_nan(values: ArrayLike) -> Float:
+    """Return the values that are not NaN, shape (n,)."""
+    flat_values = np.asarray(values, dtype=np.float64).ravel()
+    return flat_values[~np.isnan(flat_values)]
 
 
 class EpisodeMeasures(ABC):
@@ -357,11 +361,11 @@ class EpisodeMeasures(ABC):
         """Return the share of the start's island that the agent has covered, by area."""
 
     def _describe_place(self, positions: Float, is_inside: Bool, position_label: str) -> str:
-        """Say which position is the first that isn't inside.
+        """Name the first position that isn't in the grid.
 
         Args:
             positions: world x, y, z [m], shape (n, 3).
-            is_inside: whether each position is in the grid, shape (n,); not for all.
+            is_inside: whether each position is in the grid, shape (n,); at least one isn't.
             position_label: what the text calls a position.
         """
         row = int(np.argmin(is_inside))

@@ -33,7 +33,7 @@ from navbake.voxels.finder import FlightPath, VoxelFinder
 from navbake.voxels.grid import VoxelGrid
 
 MAX_FAILURES = 2000  # a draw ends after this many pairs in a row that the rules refuse
-PAIRS_PER_DRAW = 64
+PAIRS_PER_DRAW = 64  # pairs that are drawn at once
 
 
 class FlightRules(Record, frozen=True, kw_only=True):
@@ -231,6 +231,9 @@ def digest_of_voxels(voxels: VoxelGrid) -> str:
 
     Args:
         voxels: the voxels.
+
+    Returns:
+        64 hexadecimal digits.
     """
     digest = sha256(repr((voxels.origin, voxels.res, voxels.shape)).encode())
     digest.update(np.packbits(voxels.occupied).tobytes())
