@@ -408,7 +408,7 @@ def _find_grounds(assignment_input: AssignmentInput) -> list[float]:
     area_test = make_area_test(assignment_input.regions.lattice, assignment_input.settings)
     surfaces = assignment_input.regions.surfaces
     candidates = assignment_input.candidates
-    ground = _find_next_ground(surfaces, candidates, area_test, -np.inf, half_step)
+    ground = _find_next_ground(surfaces, candidates, area_test, ground=-np.inf, half_step=half_step)
     if ground is None:
         # nothing is large enough: take the most common height of the lowest surfaces
         selection = HeightSelection(-np.inf, LOWEST_SURFACES, half_step)
@@ -421,7 +421,12 @@ def _find_grounds(assignment_input: AssignmentInput) -> list[float]:
         if len(grounds) > MANY_LEVELS:
             height_limits = [grounds[-1] + USUAL_LEVEL_HEIGHT, np.inf]
         ground = _find_next_ground(
-            surfaces, candidates, area_test, grounds[-1], half_step, height_limits
+            surfaces,
+            candidates,
+            area_test,
+            ground=grounds[-1],
+            half_step=half_step,
+            height_limits=height_limits,
         )
         if ground is None:
             break

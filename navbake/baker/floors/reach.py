@@ -356,7 +356,9 @@ def _describe_on_levels(
     lattice = regions.lattice
     patches = {}
     for level_number, level_surfaces_by_region in surfaces_on_level.items():
-        largest_surfaces = max(level_surfaces_by_region, key=lambda region: len(region.cell))
+        largest_surfaces = max(
+            level_surfaces_by_region, key=lambda region_surfaces: len(region_surfaces.cell)
+        )
         level_surfaces = largest_surfaces
         if len(level_surfaces_by_region) > 1:
             level_surfaces = RegionSurfaces._make(

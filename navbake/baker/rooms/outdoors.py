@@ -78,10 +78,10 @@ def find_room_segments(
         stacked_segments = _number_segments(stack, segments)
         is_cavity = _mark_cavities(stacked_segments, room_numbers, flags, cells_beyond)
         if is_cavity.any():
+            number_without_cavities = np.arange(len(is_cavity), dtype=np.int32)
+            number_without_cavities[is_cavity] = 0
             stacked_segments = stacked_segments._replace(
-                segment=np.where(is_cavity, 0, np.arange(len(is_cavity), dtype=np.int32))[
-                    stacked_segments.segment
-                ]
+                segment=number_without_cavities[stacked_segments.segment]
             )
         united_segment, is_outdoors = _find_outdoors(stacked_segments, flags)
         number = np.where(united_segment > 0, united_segment + np.int32(num_segments), 0)
@@ -103,7 +103,7 @@ def _number_segments(stack: LevelStack, segments: Sequence[Int32]) -> StackedSeg
     num_segments_of_level = stack.unstack(segment).max(axis=(1, 2), initial=0)
     if len(stack.levels) > 1:
         num_segments_below = np.cumsum(num_segments_of_level) - num_segments_of_level
-        by_level = stack.unstack(segment)
+        by_level = stack.unstack(segment)  # a view: the sum is written into `segment`
         by_level += np.where(by_level > 0, num_segments_below[:, None, None], 0).astype(np.int32)
     level_index = np.repeat(np.arange(len(stack.levels)), num_segments_of_level)
     return StackedSegments(stack, segment, np.append(0, level_index))
