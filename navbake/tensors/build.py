@@ -209,18 +209,18 @@ def with_stands(
     for target_number in range(num_targets):
         for scene_number, search in enumerate(tensors.searches):
             target = targets_of_grids[scene_number][target_number]
-            found_poses = stand_poses(search, target, rules, count=None, spread=0.0, seed=0)
-            if not len(found_poses):
-                reason = "; ".join(found_poses.why_not.values())
+            target_poses = stand_poses(search, target, rules, count=None, spread=0.0, seed=0)
+            if not len(target_poses):
+                reason = "; ".join(target_poses.why_not.values())
                 raise QueryError(
                     f"no pose reaches target {target_number} in {search.grid.scene_id!r}: {reason}",
                     key="targets",
                     value=target,
                 )
             padded_ids = _pad_ids(search, tensors.shape, scene_number)
-            cells = padded_ids[search.flat.cells_at(found_poses.positions)]
+            cells = padded_ids[search.flat.cells_at(target_poses.positions)]
             order = np.argsort(cells, kind="stable")
-            group_poses = np.column_stack([found_poses.positions, found_poses.headings])
+            group_poses = np.column_stack([target_poses.positions, target_poses.headings])
             poses_by_group.append(group_poses[order])
             keys_by_group.append(target_number * num_cells + cells[order].astype(np.int64))
     stand_key = np.concatenate([np.empty(0, dtype=np.int64), *keys_by_group])

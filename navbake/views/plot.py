@@ -276,8 +276,8 @@ def render_picture(
                 _draw_poses(
                     ax, poses.positions[is_on_level], poses.headings[is_on_level], poses.outline
                 )
-                target_middles = (poses.target_boxes[:, :3] + poses.target_boxes[:, 3:]) / 2.0
-                boxes = poses.target_boxes[np.isfinite(target_middles).all(axis=1)]
+                # a point without a height, in no cell, has no box
+                boxes = poses.target_boxes[np.isfinite(poses.target_boxes).all(axis=1)]
                 middles = (boxes[:, :3] + boxes[:, 3:]) / 2.0
                 _draw_targets(ax, boxes[grid.cells_at(middles).level == level_number])
             for mark_level, x, y, kind in overlays.marks:

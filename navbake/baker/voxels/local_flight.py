@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
 from navbake.baker.voxels.voxelize import Voxelizer
 from navbake.mujoco_types import MjDataLike
 from navbake.voxels.finder import FlightPath, VoxelFinder
-
-if TYPE_CHECKING:
-    pass
 
 
 class LocalFlight:
