@@ -1,0 +1,1 @@
+"""Parts of the site of the documentation, which `make_docs.py` builds."""
