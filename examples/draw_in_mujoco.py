@@ -14,7 +14,6 @@ from PIL import Image
 
 import navbake
 
-GOAL = (3.0, -0.7, 0.0)
 settings = navbake.samples.path("apartment")
 spec = mujoco.MjSpec.from_file(str(settings.parent / "scenes" / "apartment.xml"))
 _ = [spec.delete(key) for key in list(spec.keys)]  # keyframes know of no robot
@@ -25,7 +24,7 @@ body = spec.worldbody.add_body(name="person", mocap=True, pos=[2.2, -2.2, 0.0])
 body.add_geom(size=[0.25, 0.85, 0.0], pos=[0.0, 0.0, 0.85], rgba=[0.2, 0.4, 0.9, 1.0], **cylinder)
 model = spec.compile()
 data = mujoco.MjData(model)
-robot, person = data.mocap_pos  # views: to write into them moves the bodies
+robot, person = data.mocap_pos  # views: writing moves the bodies
 baker = navbake.Baker(model, data, robot="robot", grid={"cell_size": 0.05})
 finder = navbake.PathFinder(baker.grid.inflate(0.22))
 renderer = mujoco.Renderer(model, 300, 480)
@@ -36,7 +35,7 @@ while state != "arrived" and len(frames) < 100:
     for _ in range(4):  # 0.1 s each
         person += (-0.03, 0.02, 0.0) if person[0] > 0.9 else 0.0
         finder.use(baker.update(data).grid.inflate(0.22))
-        path = finder.find_path(robot, GOAL)
+        path = finder.find_path(robot, (3.0, -0.7, 0.0))
         if path is not None:  # else the person is too near, and the robot waits
             follower = finder.follow(path)
             command, state = follower.command(robot, heading), follower.state

@@ -289,6 +289,7 @@ def _schema(pyarrow: ModuleType) -> object:
                 ("key", text_type),
             ),
             *(("inputs", pyarrow.list_(file_type)), ("files", pyarrow.list_(file_type))),
+            ("removed", texts_type),
         ]
     )
 

@@ -124,10 +124,12 @@ def inflate(
     if clearance is None:
         distance_of_cost_1 = math.log(MAX_FREE_COST) / scaling  # where nav2's costs fall to 1
         clearance = min(distance_of_cost_1, MAX_RADIUS) if costs == "nav2" else 0.0
-    # such a grid may be a map, which shows no smaller obstacles than those that block now
-    is_inflated_enough = radius <= grid.inflated_radius and ledges in (
-        ledges_setting(grid),
-        "ignore",
+    # a map shows no smaller obstacles than those that block now; a bake's layer `solid` does
+    is_map = not any("solid" in level.attributes for level in grid.levels)
+    is_inflated_enough = (
+        is_map
+        and 0.0 < radius <= grid.inflated_radius
+        and ledges in (ledges_setting(grid), "ignore")
     )
     weights_by_level = []
     for level_number, level in enumerate(grid.levels):

@@ -222,7 +222,7 @@ def test_what_makes_no_set_is_told(changes, message):
 @pytest.mark.parametrize(
     ("rules", "message"),
     [
-        ({"min_dist": 1}, "no rule 'min_dist' of flights: it has min_distance"),
+        ({"min_dist": 1}, "no rule 'min_dist' of flights: did you mean 'min_distance'"),
         ({"min_ratio": "0.5"}, "min_ratio"),
         ({"reach": "near"}, "reach"),
     ],
