@@ -483,24 +483,60 @@ def _measure_beams(
 
     nearest = xp.where(tensors.solid[first_cell], 0.0, xp.full_like(u, xp.inf))
     num_lines = math.ceil(max_range * tensors.max_cells_per_metre) + 1
-    for line_numbers in _split_lines(tensors, min(num_lines, shape.cols)):
-        distance, col = _cross_lines(tensors, u, u_slope, first_col, line_numbers)
-        is_near = distance <= max_range
-        distance = xp.where(is_near, distance, 0.0)
-        v_of_crossing = v[..., None] + distance * v_slope[..., None]
-        row_before = xp.astype(xp.floor(v_of_crossing - edge_width), tensors.index_dtype)
-        row_after = xp.astype(xp.floor(v_of_crossing + edge_width), tensors.index_dtype)
-        is_hit = is_near & (is_solid(row_before, col) | is_solid(row_after, col))
-        nearest = xp.minimum(nearest, xp.min(xp.where(is_hit, distance, xp.inf), axis=-1))
-    for line_numbers in _split_lines(tensors, min(num_lines, shape.rows)):
-        distance, row = _cross_lines(tensors, v, v_slope, first_row, line_numbers)
-        is_near = distance <= max_range
-        distance = xp.where(is_near, distance, 0.0)
-        u_of_crossing = u[..., None] + distance * u_slope[..., None]
-        col_before = xp.astype(xp.floor(u_of_crossing - edge_width), tensors.index_dtype)
-        col_after = xp.astype(xp.floor(u_of_crossing + edge_width), tensors.index_dtype)
-        is_hit = is_near & (is_solid(row, col_before) | is_solid(row, col_after))
-        nearest = xp.minimum(nearest, xp.min(xp.where(is_hit, distance, xp.inf), axis=-1))
+
+    def measure_to_lines(
+        along: Array,
+        along_slope: Array,
+        first_line: Array,
+        across: Array,
+        across_slope: Array,
+        max_lines: int,
+        is_solid_beyond: Callable[[Array, Array], Array],
+    ) -> Array:
+        """Measure to the nearest solid cell that a beam enters over lines of one direction.
+
+        Args:
+            along: where the beam begins, in columns for the lines between these, or else in rows.
+            along_slope: columns or rows for each metre of the beam.
+            first_line: the column or row that it begins in.
+            across: where it begins along these lines, in rows or else in columns.
+            across_slope: rows or columns for each metre.
+            max_lines: how many lines there are.
+            is_solid_beyond: tells, by the column or row behind a line and the place along the line,
+                whether the cell there is solid.
+        """
+        nearest_hit = xp.full_like(along, xp.inf)
+        for line_numbers in _split_lines(tensors, min(num_lines, max_lines)):
+            distance, beyond = _cross_lines(tensors, along, along_slope, first_line, line_numbers)
+            is_near = distance <= max_range
+            distance = xp.where(is_near, distance, 0.0)
+            crossing = across[..., None] + distance * across_slope[..., None]
+            before = xp.astype(xp.floor(crossing - edge_width), tensors.index_dtype)
+            after = xp.astype(xp.floor(crossing + edge_width), tensors.index_dtype)
+            is_hit = is_near & (is_solid_beyond(beyond, before) | is_solid_beyond(beyond, after))
+            hit_distance = xp.min(xp.where(is_hit, distance, xp.inf), axis=-1)
+            nearest_hit = xp.minimum(nearest_hit, hit_distance)
+        return nearest_hit
+
+    to_columns = measure_to_lines(
+        along=u,
+        along_slope=u_slope,
+        first_line=first_col,
+        across=v,
+        across_slope=v_slope,
+        max_lines=shape.cols,
+        is_solid_beyond=lambda col, row: is_solid(row, col),
+    )
+    to_rows = measure_to_lines(
+        along=v,
+        along_slope=v_slope,
+        first_line=first_row,
+        across=u,
+        across_slope=u_slope,
+        max_lines=shape.rows,
+        is_solid_beyond=is_solid,
+    )
+    nearest = xp.minimum(nearest, xp.minimum(to_columns, to_rows))
     return xp.where(is_valid, nearest, xp.nan)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +39,6 @@ from navbake.lazy import lazy
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
-
-Number = TypeVar("Number", bound=np.generic)
 
 fcl = lazy("fcl")  # few scenes have a cell that nothing else decides
 
@@ -341,7 +339,12 @@ def check_level_occupancy(
     floor_heights = np.concatenate([floor[~np.isnan(floor)] for floor in floor_by_level])
     ceiling = np.repeat(find_level_ceilings(floors), num_floors)
     # in ascending order of cells, and of heights in a cell, for the check
-    order = np.lexsort((floor_heights, floor_cells)) if len(floors.levels) > 1 else slice(None)
+    order: Int | slice = slice(None)
+    place_in_order: Int | slice = slice(None)
+    if len(floors.levels) > 1:
+        order = np.lexsort((floor_heights, floor_cells))
+        place_in_order = np.empty_like(order)
+        place_in_order[order] = np.arange(len(order))
     floor_cells = floor_cells[order]
     floor_heights = floor_heights[order]
     occupant_lists = NO_OCCUPANT_LISTS
@@ -361,41 +364,38 @@ def check_level_occupancy(
         columns, tiled_shapes, footprint, floor_cells, floor_heights, occupant_lists
     )
     # one level after the other again
-    occupied = _undo_order(occupancy.occupied, order)
-    square_occupied = _undo_order(occupancy.square_occupied, order)
-    if wall_candidates is not None:
-        occupant_lists = occupant_lists._replace(
-            ceiling=_undo_order(occupant_lists.ceiling, order),
-            list_start=_undo_order(occupant_lists.list_start, order),
-            floor_geom=_undo_order(occupant_lists.floor_geom, order),
-            gap_below=_undo_order(occupant_lists.gap_below, order),
-        )
+    occupied = occupancy.occupied[place_in_order]
+    square_occupied = occupancy.square_occupied[place_in_order]
+    occupant_lists = _select_lists(occupant_lists, place_in_order)
     occupancy_by_level = []
     first_floors = np.cumsum([0, *num_floors]).tolist()
     for level_cells, (first_floor, end_floor) in zip(
         cells_by_level, pairwise(first_floors), strict=True
     ):
         level_floors = slice(first_floor, end_floor)
-        level_lists = occupant_lists
-        if wall_candidates is not None:
-            level_lists = occupant_lists._replace(
-                ceiling=occupant_lists.ceiling[level_floors],
-                list_start=occupant_lists.list_start[level_floors],
-                floor_geom=occupant_lists.floor_geom[level_floors],
-                gap_below=occupant_lists.gap_below[level_floors],
-            )
         cell_occupancy = occupancy._replace(
             occupied=occupied[level_floors], square_occupied=square_occupied[level_floors]
         )
+        level_lists = _select_lists(occupant_lists, level_floors)
         occupancy_by_level.append(LevelOccupancy(level_cells, cell_occupancy, level_lists))
     return occupancy_by_level
 
 
-def _undo_order(values: NDArray[Number], order: Int | slice) -> NDArray[Number]:
-    """Return the array `original` for which ``original[order]`` is `values`, shape (n,)."""
-    original = np.empty_like(values)
-    original[order] = values
-    return original
+def _select_lists(occupant_lists: OccupantLists, selected: Int | slice) -> OccupantLists:
+    """Return the lists of some cells, by their indices; without lists, what is given.
+
+    Args:
+        occupant_lists: the lists of all cells, or `NO_OCCUPANT_LISTS`.
+        selected: indices of cells, shape (n,), or a slice.
+    """
+    if occupant_lists is NO_OCCUPANT_LISTS:
+        return occupant_lists
+    return occupant_lists._replace(
+        ceiling=occupant_lists.ceiling[selected],
+        list_start=occupant_lists.list_start[selected],
+        floor_geom=occupant_lists.floor_geom[selected],
+        gap_below=occupant_lists.gap_below[selected],
+    )
 
 
 def select_list_entries(
