@@ -244,11 +244,7 @@ def path(
         else:
             say(f"no path: {reason}")
     if output is not None:
-        from navbake.views.plot import Overlays  # loads numpy
-
-        options.write_picture(
-            nav_grid, output, layers=("occupancy",), overlays=Overlays(route=planned_path)
-        )
+        options.write_picture(nav_grid, output, layers=("occupancy",), route=planned_path)
     if not planned_path:
         raise Exit(1)
 
@@ -398,11 +394,7 @@ def stand(
         printing.say_unless_quiet(output)
     elif output is not None:
         region = finder.stand_region(targets, **rules)
-        from navbake.views.plot import Overlays  # loads numpy
-
-        options.write_picture(
-            nav_grid, output, layers=("occupancy",), overlays=Overlays(poses=poses, region=region)
-        )
+        options.write_picture(nav_grid, output, layers=("occupancy",), poses=poses, region=region)
     if not rows:
         raise Exit(1)
 

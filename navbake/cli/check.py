@@ -132,11 +132,7 @@ def verify(
             (finding.level, *finding.position[:2], finding.kind) for finding in report.findings
         ]
         nav_grid = navbake.load(grid)
-        from navbake.views.plot import Overlays  # loads numpy
-
-        options.write_picture(
-            nav_grid, output, layers=("occupancy",), overlays=Overlays(marks=marks)
-        )
+        options.write_picture(nav_grid, output, layers=("occupancy",), marks=marks)
     if not report.ok:
         raise Exit(1)
 
@@ -216,11 +212,7 @@ def audit(
             for remark in report.remarks
             if remark.place is not None
         ]
-        from navbake.views.plot import Overlays  # loads numpy
-
-        options.write_picture(
-            nav_grid, output, layers=("occupancy",), overlays=Overlays(marks=marks)
-        )
+        options.write_picture(nav_grid, output, layers=("occupancy",), marks=marks)
     if not report.ok:
         raise Exit(1)
 

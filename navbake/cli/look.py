@@ -72,7 +72,7 @@ def plot(
     Example: navbake plot house.grid.json -o house.png --layer rooms --layer floor
     """
     from navbake.views.layers import LAYERS
-    from navbake.views.plot import DEFAULT_LAYERS, Overlays
+    from navbake.views.plot import DEFAULT_LAYERS
 
     view_bounds = None if bounds is None else _parse_bounds(bounds)
     for layer in layers or ():
@@ -88,7 +88,7 @@ def plot(
         output,
         level=level,
         layers=layer_names,
-        overlays=Overlays(marks=_read_marks(points or (), nav_grid)),
+        marks=_read_marks(points or (), nav_grid),
         bounds=view_bounds,
         dpi=dpi,
         titles=not no_title,

@@ -12,7 +12,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from functools import wraps
 from pathlib import Path
@@ -30,6 +30,10 @@ from navbake.formats.source import write_bytes
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
+    from navbake.runtime.paths import Path as Route
+    from navbake.runtime.stand import StandPoses
+    from navbake.types import Bool
+    from navbake.views.plot import Mark
 
 Completion = Callable[..., list[str]]
 """A function of `navbake.cli.completion`, as typer takes it."""
@@ -287,17 +291,32 @@ def check_output(
         raise ConfigError(f"cannot write {path}: {error.strerror}{hint}") from error
 
 
-def write_picture(grid: NavGrid, output: Path, **content: Any) -> None:
+def write_picture(
+    grid: NavGrid,
+    output: Path,
+    *,
+    route: Route | None = None,
+    marks: Sequence[Mark] = (),
+    poses: StandPoses | None = None,
+    region: Sequence[Bool] | None = None,
+    **content: Any,
+) -> None:
     """Write a picture of a grid, and print its name unless it is stdout.
 
     Args:
         grid: the grid.
         output: a file, SVG or PDF if its name says so, else PNG; or stdout, which gets a PNG.
-        content: arguments of `navbake.views.plot.render_picture`.
+        route: a path to draw on top.
+        marks: places to mark.
+        poses: poses of a base to draw as arrows.
+        region: cells to shade, a mask for each level.
+        content: other arguments of `navbake.views.plot.render_picture`.
     """
-    from navbake.views.plot import find_picture_format, render_picture  # loads numpy
+    from navbake.views.plot import Overlays, find_picture_format, render_picture  # loads numpy
 
-    write_output(render_picture(grid, find_picture_format(output), **content), output)
+    overlays = Overlays(route, marks, poses, region)
+    picture = render_picture(grid, find_picture_format(output), overlays=overlays, **content)
+    write_output(picture, output)
     if output != STDOUT:
         printing.say_unless_quiet(output)
 
