@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias, TypedDict
+from typing import TYPE_CHECKING, Literal, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,11 +26,11 @@ from navbake.baker.scene.scene import Scene, load_scene
 from navbake.baker.voxels.voxel_kernels import Voxels, fill_voxels
 from navbake.compiled import ensure_compiled
 from navbake.config.keywords import SettingKeywords
-from navbake.config.settings import BakeConfig, SceneSettings
+from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
 from navbake.formats.format_table import OCTREE_SUFFIXES
 from navbake.known_names import find_similar_names
-from navbake.mujoco_types import MjDataLike, MjModelLike, MjSpecLike
+from navbake.mujoco_types import MjDataLike
 from navbake.navgrid.lattice import CELL_SLACK, Lattice
 from navbake.threads import run_in_chunks
 from navbake.voxels.grid import (
@@ -44,11 +44,9 @@ from navbake.voxels.grid import (
 
 if TYPE_CHECKING:  # mujoco and trimesh are slow to load
     import mujoco
-    import trimesh
     from typing_extensions import Unpack  # `typing` has it from Python 3.11 on
 
-    SceneInMemory: TypeAlias = MjModelLike | MjSpecLike | trimesh.Scene | trimesh.Trimesh
-    SceneInput: TypeAlias = str | PathLike[str] | Mapping[str, object] | BakeConfig | SceneInMemory
+    from navbake.baker.scene.model import SceneInput
 
 
 Segments = Literal["geom", "body", "top"] | str | Mapping[str, int] | Sequence[str]

@@ -10,14 +10,14 @@ import re
 import sys
 import threading
 import webbrowser
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, suppress
 from functools import partial
 from itertools import product
 from os import PathLike
 from pathlib import Path
 from queue import SimpleQueue
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypedDict
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict
 
 import numpy as np
 from PIL import Image
@@ -29,7 +29,7 @@ from navbake.formats.flights import read_flight
 from navbake.formats.navgrid import read_navgrid
 from navbake.formats.scene_files import find_inputs
 from navbake.formats.voxels import read_voxels
-from navbake.mujoco_types import MjDataLike, MjModelLike, MjSpecLike
+from navbake.mujoco_types import MjDataLike
 from navbake.navgrid.colors import STAND, rgb_of
 from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.runtime.paths import Path as Route
@@ -65,14 +65,10 @@ from navbake.voxels.finder import FlightPath
 from navbake.voxels.grid import VoxelGrid
 
 if TYPE_CHECKING:
-    import trimesh
     import viser
     from typing_extensions import Unpack
 
-    from navbake.config.settings import BakeConfig
-
-SceneInMemory: TypeAlias = "MjModelLike | MjSpecLike | trimesh.Scene | trimesh.Trimesh"
-SceneLike: TypeAlias = "SceneInMemory | BakeConfig | Mapping[str, object] | str | PathLike[str]"
+    from navbake.baker.scene.model import SceneInput
 
 
 class Shadows(TypedDict):
@@ -220,7 +216,7 @@ class Viewer(AbstractContextManager["Viewer"]):
     def show(
         self,
         grid: NavGrid | str | PathLike[str],
-        scene: SceneLike | None = None,
+        scene: SceneInput | None = None,
         *,
         data: MjDataLike | None = None,
         force: bool = False,
@@ -708,7 +704,7 @@ class Viewer(AbstractContextManager["Viewer"]):
 
 def view(
     grid: NavGrid | str | PathLike[str],
-    scene: SceneLike | None = None,
+    scene: SceneInput | None = None,
     *,
     data: MjDataLike | None = None,
     host: str = HOST,
@@ -763,7 +759,7 @@ def view(
 
 def make_view_state(
     grid: NavGrid | str | PathLike[str],
-    scene: SceneLike | None = None,
+    scene: SceneInput | None = None,
     *,
     data: MjDataLike | None = None,
     force: bool = False,
