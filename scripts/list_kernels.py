@@ -200,6 +200,7 @@ def _use_run_time(grid: navbake.SceneGrid2D | navbake.MultiLevelGrid) -> None:
     grid.inflate_footprint([(0.2, 0.1), (-0.2, 0.1), (0.0, -0.2)], 4)
     top = len(grid.levels) - 1
     for agent in (grid, grid.inflate(0.3)):
+        agent.routes()
         finder = navbake.PathFinder(agent)
         start, goal = finder.random_point(rng, level=0), finder.random_point(rng, level=top)
         finder.find_path(start, goal)

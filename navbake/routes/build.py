@@ -28,10 +28,11 @@ from navbake.routes.graph import FLOOR, Doorway, Lane, LiftCar, Node, RouteGraph
 from navbake.routes.lane_graph import LaneGraph
 from navbake.runtime.agents import find_agent, fit_grid
 from navbake.runtime.flat_grid import FlatGrid, find_leaf_cells, find_stairs
-from navbake.runtime.paths import find_path
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
 
+lane_kernels = lazy("navbake.routes.lane_kernels")  # numba loads slowly
+line_kernels = lazy("navbake.runtime.line_kernels")
 ndimage = lazy("scipy.ndimage")
 sparse = lazy("scipy.sparse")
 spatial = lazy("scipy.spatial")
@@ -181,12 +182,13 @@ class _Builder:
         Returns:
             The index of the new node, or of the cell's earlier one.
         """
-        node_position = np.round(self.flat.positions(cell), DECIMALS) + 0.0
-        x, y, z = node_position.tolist()
+        level, row, col = self.flat.to_cell(cell)
+        x, y = _round_xy(self.lattices[level].position(row, col))
+        z = round(float(self.flat.floor_heights(cell)), DECIMALS) + 0.0
         node = Node(
             name,
             position=(x, y, z),
-            level=int(self.flat.level_of(cell)),
+            level=level,
             kind=kind,
             room=self.search.rooms.id_of(int(self.search.rooms.number[cell])),
             door=door,
@@ -330,28 +332,7 @@ class _Builder:
 
         It may if `Search.can_pass` allows it, or over steps along a row, column or diagonal.
         """
-        from navbake.runtime.grid_arrays import COL_STEP, ROW_STEP  # numba loads slowly
-
-        level, row, col = self.flat.to_cell(cell)
-        _, target_row, target_col = self.flat.to_cell(target_cell)
-        lattice = self.lattices[level]
-        centers = [lattice.position(row, col), lattice.position(target_row, target_col)]
-        start_xy, end_xy = np.round(centers, DECIMALS)
-        if self.search.can_pass(start_xy, end_xy, level):
-            return True
-        row_offset = target_row - row
-        col_offset = target_col - col
-        num_steps = max(abs(row_offset), abs(col_offset))
-        is_straight = row_offset == 0 or col_offset == 0 or abs(row_offset) == abs(col_offset)
-        if not num_steps or not is_straight:
-            return False
-        row_step = row_offset // num_steps
-        col_step = col_offset // num_steps
-        directions = list(zip(ROW_STEP, COL_STEP, strict=True))
-        direction_bit = directions.index((row_step, col_step))
-        cell_step = row_step * int(self.flat.layout.width[level]) + col_step
-        crossed_cells = cell + cell_step * np.arange(num_steps)
-        return bool((self.search.graph.moves[crossed_cells] >> direction_bit & 1).all())
+        return bool(lane_kernels.sees(cell, target_cell, self.search.graph, self.search.off_center))
 
     # ---------------------------------------------------------------- lanes
 
@@ -361,10 +342,6 @@ class _Builder:
         target_x, target_y, _ = self.nodes[target_node].position
         return float(np.hypot(x - target_x, y - target_y))
 
-    def _points_of(self, *nodes: int) -> Float:
-        """Return the world x, y of nodes, shape (n, 2) [m]."""
-        return np.array([self.nodes[node].position[:2] for node in nodes])
-
     def _lane_cost(self, node: int, target_node: int) -> float:
         """Compute the cost of a lane between two nodes [m].
 
@@ -372,50 +349,26 @@ class _Builder:
         above.
         """
         level = self.nodes[node].level
+        length = self._distance(node, target_node)
         if level != self.nodes[target_node].level:
-            return self._distance(node, target_node)
-        return self._line_cost(self._points_of(node, target_node), level)
+            return length
+        mean_weight: float = lane_kernels.measure_mean_weight(
+            self.nodes[node].position[:2],
+            self.nodes[target_node].position[:2],
+            level,
+            self.search.graph,
+        )
+        return length * mean_weight
 
-    def _line_cost(self, points: Float, level: int) -> float:
-        """Compute the cost of a polyline on a level [m]; `points` are x, y, shape (n, 2) [m]."""
-        return sum(self._leg_costs(points, level))
-
-    def _leg_costs(self, points: Float, level: int) -> list[float]:
-        """Compute the cost of each leg of a polyline on a level [m], see `_line_cost`."""
-        cells = self._cells_on_legs(points, level)
-        lengths = np.hypot(*np.diff(points, axis=0).T).tolist()
-        return [
-            length * float(self.flat.weight[leg_cells].mean())
-            for length, leg_cells in zip(lengths, cells, strict=True)
-        ]
-
-    def _mean_weight(self, start: Float, end: Float, level: int) -> float:
-        """Compute the mean weight of the cells on a straight line between two points x, y [m]."""
-        (cells,) = self._cells_on_legs(np.array([start, end]), level)
-        return float(self.flat.weight[cells].mean())
-
-    def _cells_on_legs(self, points: Float, level: int) -> list[Int]:
-        """List the cells of points on each leg of a polyline, about a quarter of a cell apart.
-
-        Args:
-            points: world x, y of the polyline, shape (n, 2) [m].
-            level: number of the level.
-
-        Returns:
-            For each of the n - 1 legs the flat ids of the cells, in the leg's order.
-        """
-        cell_size = self.lattices[level].cell_size
-        points_on_legs = []
-        for start, end in itertools.pairwise(points):
-            leg_vector = end - start
-            num_points = math.ceil(math.hypot(*leg_vector) / cell_size * 4) + 1
-            fractions = (np.arange(num_points) + 0.5)[:, None] / num_points
-            points_on_legs.append(start + fractions * leg_vector)
-        if not points_on_legs:
-            return []
-        cells = self.flat.cells_at(np.concatenate(points_on_legs), level)
-        bounds = itertools.accumulate(map(len, points_on_legs), initial=0)
-        return [cells[first:stop] for first, stop in itertools.pairwise(bounds)]
+    def _cells_on_lane(self, node: int, target_node: int) -> Int:
+        """List the flat ids of the cells on the straight line between two nodes of a level."""
+        cells: Int = lane_kernels.sample_line(
+            self.nodes[node].position[:2],
+            self.nodes[target_node].position[:2],
+            self.nodes[node].level,
+            self.flat.layout,
+        )
+        return cells
 
     def _doors_on_lane(self, node: int, target_node: int) -> set[str | None]:
         """List the ids of the doors that a lane leads through, and None.
@@ -425,8 +378,7 @@ class _Builder:
         """
         doors = self._doors_of_ends(node, target_node)
         if self.leaf_doors:
-            line = self._points_of(node, target_node)
-            (cells,) = self._cells_on_legs(line, self.nodes[node].level)
+            cells = self._cells_on_lane(node, target_node)
             doors |= {self.leaf_doors.get(cell) for cell in cells.tolist()}
         return doors
 
@@ -637,10 +589,10 @@ class _Builder:
                 node_indices = node_of_cell[nearest_cell[cells]]
                 neighbor_indices = node_of_cell[nearest_cell[cells + cell_offset]]
                 pairs_of_levels.append(np.stack([node_indices, neighbor_indices], axis=1))
-        node_pairs = np.unique(np.concatenate(pairs_of_levels), axis=0)
+        node_pairs = np.concatenate(pairs_of_levels)
         both_have_nodes = (node_pairs >= 0).all(axis=1)
         touching_pairs: Int = node_pairs[both_have_nodes & (node_pairs[:, 0] != node_pairs[:, 1])]
-        return touching_pairs
+        return np.unique(touching_pairs, axis=0)
 
     def _add_path(self, start_node: int, end_node: int, allowed_doors: set[str | None]) -> None:
         """Add the path between two nodes of a level: nodes at its corners, and lanes between them.
@@ -655,14 +607,30 @@ class _Builder:
         level = self.nodes[start_node].level
         if level != self.nodes[end_node].level:
             return
-        start, end = self._points_of(start_node, end_node)
-        path = find_path(self.search, start, end, level, by="cost", smooth=True)
-        if path is None or path.links or (path.levels != level).any():
+        end_cell = self.node_cells[end_node]
+        route = self.search.find_route(self.node_cells[start_node], np.array([end_cell]))
+        if route is None:
             return
-        path_cost = self._line_cost(path.positions[:, :2], level)
+        if route.is_by_link.any():  # else it takes no links
+            costs = self.search.measure_route(route, self.flat.to_cells(route.cells), "cost")
+            if costs.links:
+                return
+        positions, levels, _ = line_kernels.lay_route(
+            route.cells,
+            route.is_by_link,
+            np.array(self.nodes[start_node].position[:2]),
+            np.array(self.nodes[end_node].position[:2]),
+            True,
+            self.search.graph,
+            self.flat.floors,
+            self.search.off_center,
+        )
+        if (levels != level).any():
+            return
+        path_cost = lane_kernels.measure_polyline(positions, level, self.search.graph)
         if not self._needs_lane(start_node, end_node, MAX_DETOUR_FACTOR * path_cost):
             return
-        corner_nodes = self._corner_nodes(start_node, end_node, path.positions[:, :2], level)
+        corner_nodes = self._corner_nodes(start_node, end_node, positions, level)
         for corner_node, next_corner_node in itertools.pairwise(corner_nodes):
             if corner_node == next_corner_node:
                 continue
@@ -680,48 +648,31 @@ class _Builder:
         Args:
             start_node: index of the node at the path's start.
             end_node: index of the node at its end.
-            path: x, y of the path's points, shape (n, 2) [m].
+            path: world positions of the path's points, shape (n, 3) [m].
             level: number of the level.
 
         Returns:
             The indices of the nodes, from `start_node` to `end_node`.
         """
-        inner_points = path[1:-1]
-        cells = self.flat.cells_at(inner_points, level)
-        centers = self.flat.positions(cells)[:, :2]
-        # corners are at cells' centres; at other points, only the height of the floor bends
-        is_corner = np.abs(centers - inner_points).max(axis=1, initial=0.0) < 1e-6
-        corner_cells = [*cells[is_corner].tolist(), self.node_cells[end_node]]
-        corner_points = self.flat.positions(np.array(corner_cells))[:, :2]
-        leg_costs = self._leg_costs(corner_points, level)
+        inner_cells = lane_kernels.find_corner_cells(path[1:-1], level, self.flat.layout)
+        corner_cells = np.append(inner_cells, self.node_cells[end_node])
         corner_nodes = [start_node]
         first_index = 0  # of the corners after the last node
         while first_index < len(corner_cells):
             previous_node = corner_nodes[-1]
-            (previous_point,) = self._points_of(previous_node)
-            line_lengths = np.hypot(*(corner_points[first_index:] - previous_point).T).tolist()
-            mean_weight = self._mean_weight(previous_point, corner_points[first_index], level)
-            # costs of the path from the last node to each corner after it
-            path_costs = list(
-                itertools.accumulate([line_lengths[0] * mean_weight, *leg_costs[first_index:]])
+            skipped, mean_weight = lane_kernels.find_farthest_corner(
+                self.node_cells[previous_node],
+                corner_cells[first_index:],
+                MAX_DETOUR_FACTOR,
+                self.search.graph,
+                self.search.off_center,
             )
-            farthest_index = first_index
-            for index in range(len(corner_cells) - 1, first_index, -1):
-                if not self._sees(self.node_cells[previous_node], corner_cells[index]):
-                    continue
-                line_weight = self._mean_weight(previous_point, corner_points[index], level)
-                line_cost = line_lengths[index - first_index] * line_weight
-                if line_cost <= MAX_DETOUR_FACTOR * path_costs[index - first_index]:
-                    farthest_index = index
-                    mean_weight = line_weight
-                    break
-            cell = corner_cells[farthest_index]
-            next_cells = corner_cells[farthest_index + 1 : farthest_index + 2]
+            farthest_index = first_index + skipped
+            cell = int(corner_cells[farthest_index])
             corner_node = None
-            if next_cells:
-                corner_node = self._node_in_place_of(
-                    cell, previous_node, next_cells[0], mean_weight
-                )
+            if farthest_index + 1 < len(corner_cells):
+                next_cell = int(corner_cells[farthest_index + 1])
+                corner_node = self._node_in_place_of(cell, previous_node, next_cell, mean_weight)
             if corner_node is None:
                 corner_node = self._add_node(cell, "waypoint")
             corner_nodes.append(corner_node)
@@ -803,7 +754,7 @@ class _Builder:
         doors = [door for door in self._doors_on_lane(lane.start, lane.end) if door]
         speed_limits = []
         if self.grid.areas:
-            (cells,) = self._cells_on_legs(self._points_of(lane.start, lane.end), start.level)
+            cells = self._cells_on_lane(lane.start, lane.end)
             for number in np.unique(self.area_of_cell[cells]).tolist():
                 if number and self.grid.areas[number - 1].speed is not None:
                     speed_limits.append(self.grid.areas[number - 1].speed)

@@ -63,8 +63,9 @@ class LaneGraph:
         queue = [(0.0, start)]  # by the estimated cost of a route to the end over each node
         while queue:
             _, node = heapq.heappop(queue)
+            node_cost = lowest_costs[node]
             for next_node, lane_cost in self._lanes_from[node]:
-                cost = lowest_costs[node] + lane_cost
+                cost = node_cost + lane_cost
                 if next_node == end and cost <= max_cost:
                     return True
                 if cost >= lowest_costs.get(next_node, math.inf):

@@ -219,7 +219,7 @@ class FlatGrid:
         y = self.layout.y_max[level] - (row + 0.5) * cell_size
         return np.stack([x, y, self._floor_heights(cells, level)], axis=-1)
 
-    def floor_heights(self, cells: Int) -> Float:
+    def floor_heights(self, cells: Int | int) -> Float:
         """Look up the floors of cells.
 
         Args:

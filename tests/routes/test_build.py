@@ -18,8 +18,10 @@ from navbake.auditor.facts import Facts
 from navbake.auditor.routes import measure_distances_to_squares
 from navbake.errors import QueryError
 from navbake.navgrid.links import Agent
+from navbake.routes import lane_kernels
 from navbake.routes.build import make_routes, thin_mask
 from navbake.routes.lane_graph import LaneGraph
+from navbake.runtime.grid_arrays import COL_STEP, ROW_STEP
 from project_paths import GOLDEN
 from route_ratios import TOLL, with_toll, worst_ratio
 
@@ -289,3 +291,66 @@ def test_distances_are_those_of_shapely():
         np.testing.assert_allclose(
             measure_distances_to_squares(ends, centers, 0.05), expected, atol=1e-4
         )
+
+
+def sample_plainly(flat, start, end, level):
+    """The cells of points on a line that are about a quarter of a cell apart."""
+    cell_size = flat.layout.cell_size[level]
+    num_points = math.ceil(math.dist(start, end) / cell_size * 4) + 1
+    fractions = (np.arange(num_points) + 0.5) / num_points
+    points = np.array(start) + fractions[:, None] * (np.array(end) - start)
+    return flat.cells_at(points, level)
+
+
+def sees_plainly(search, cell, target):
+    """Whether a line between cells' centres is free, or a row, column or diagonal of steps."""
+    level, row, col = search.flat.to_cell(cell)
+    _, target_row, target_col = search.flat.to_cell(target)
+    start, end = np.round(search.flat.positions(np.array([cell, target]))[:, :2], 6)
+    if search.can_pass(start, end, level):
+        return True
+    num_steps = max(abs(target_row - row), abs(target_col - col))
+    for direction, step in enumerate(zip(ROW_STEP.tolist(), COL_STEP.tolist(), strict=True)):
+        if (row + num_steps * step[0], col + num_steps * step[1]) == (target_row, target_col):
+            width = int(search.flat.layout.width[level])
+            crossed = cell + (step[0] * width + step[1]) * np.arange(num_steps)
+            return bool(num_steps and (search.graph.moves[crossed] >> direction & 1).all())
+    return False
+
+
+def test_lanes_are_seen_and_priced_as_numpy_does():
+    grid = with_toll(sample("tower"), TOLL, 10.0).inflate(0.2)
+    search = navbake.PathFinder(grid).search
+    flat, graph = search.flat, search.graph
+    rng = np.random.default_rng(1)
+    free_cells = np.flatnonzero(flat.free[flat.cells_of(0)])
+    answers = []
+    for _ in range(400):
+        cells = rng.choice(free_cells, 3)
+        if rng.random() < 0.5:  # near each other, along a row, a column or a diagonal
+            step = rng.choice([1, flat.layout.width[0], flat.layout.width[0] + 1])
+            cells = cells[0] + step * np.array([0, 2, 5])
+        if not flat.free[cells].all():
+            continue
+        answers.append(lane_kernels.sees(cells[0], cells[1], graph, search.off_center))
+        assert answers[-1] == sees_plainly(search, cells[0], cells[1])
+        points = flat.positions(cells)
+        costs = []
+        for start, end in ((points[0], points[1]), (points[1], points[2])):
+            ends = tuple(start[:2].tolist()), tuple(end[:2].tolist())
+            sampled = sample_plainly(flat, *ends, 0)
+            np.testing.assert_array_equal(lane_kernels.sample_line(*ends, 0, flat.layout), sampled)
+            mean_weight = lane_kernels.measure_mean_weight(*ends, 0, graph)
+            np.testing.assert_allclose(mean_weight, flat.weight[sampled].mean(), rtol=1e-12)
+            costs.append(math.dist(*ends) * mean_weight)
+        assert lane_kernels.measure_polyline(points, 0, graph) == pytest.approx(sum(costs))
+        on_path = np.stack([points[0], (points[0] + points[1]) / 2 + 0.01, points[1]])
+        corners = lane_kernels.find_corner_cells(on_path, 0, flat.layout)
+        np.testing.assert_array_equal(corners, cells[:2])
+        farthest, _ = lane_kernels.find_farthest_corner(
+            cells[0], cells[1:], 1.05, graph, search.off_center
+        )
+        straight = lane_kernels.measure_polyline(points[[0, 2]], 0, graph)
+        is_skipped = sees_plainly(search, cells[0], cells[2]) and straight <= 1.05 * sum(costs)
+        assert farthest == int(is_skipped)
+    assert 0.1 < np.mean(answers) < 0.9
