@@ -42,7 +42,7 @@ INFLATION_MODES = ("exact", "minos")
 CLEARANCE_COSTS = ("step", "nav2")
 LEDGE_RULES = ("avoid", "ignore")
 STEP_COST = 10.0  # least weight of cells within the clearance, with costs=``step``
-MAX_FREE_COST = 252.0  # nav2's highest cost of a cell that is not blocked
+MAX_FREE_COST = 252  # nav2's highest cost of a cell that is not blocked
 INSCRIBED_COST = 253  # nav2's cost of cells within the inscribed radius
 OCCUPIED_COST = 254  # nav2's cost of occupied cells
 NAV2_SCALING = 10.0  # [1/m], nav2's default in code
@@ -139,8 +139,9 @@ def inflate(
                 _refine_weights(level, radius / cell_size, (radius + clearance) / cell_size)
             )
             continue
-        is_blocked = ~level.free
-        if not is_inflated_enough:
+        if is_inflated_enough:
+            is_blocked = ~level.free
+        else:
             is_blocked = find_blocked(grid, level_number, radius, ledges)
         free_weights = level.weights
         if "solid" in level.attributes:
@@ -148,7 +149,7 @@ def inflate(
             free_weights = np.where(is_freed, 1.0, free_weights)
         if costs == "nav2":
             level_costs = nav2_costs(grid, radius, radius + clearance, scaling, level=level_number)
-            free_weights = np.maximum(free_weights, np.clip(level_costs, 1.0, MAX_FREE_COST))
+            free_weights = np.maximum(free_weights, np.clip(level_costs, 1, MAX_FREE_COST))
         elif clearance > 0:
             is_in_clearance = find_blocked(grid, level_number, radius + clearance, ledges)
             free_weights = np.where(
@@ -468,6 +469,8 @@ def inflate_footprint(
             limit_text = f"within {MAX_FOOTPRINT_REACH} cells"
             raise QueryError(f"expected a polygon {limit_text}, got one of {window_radius}")
         level_stack, level_window = surroundings.stack_levels(grid, level_number, window_radius)
+        is_occupied = level_stack.occupied[level_stack.level] != 0
+        is_free_for_point = level.free_for_point
         is_free = np.empty((num_headings, *level.shape), dtype=np.bool_)
         # the cells round the agent's cell, in units of a cell: `touch_cells` finds the polygon's
         window_lattice = Lattice(
@@ -486,14 +489,11 @@ def inflate_footprint(
             cell_offsets = np.ascontiguousarray(
                 np.argwhere(touch_cells([rotated_outline], window_lattice)) - window_radius
             )
-            num_occupied = count_covered_cells(
-                level_stack.occupied[level_stack.level] != 0, _find_runs(cell_offsets)
-            )
-            is_blocked = num_occupied > 0
+            is_blocked = count_covered_cells(is_occupied, _find_runs(cell_offsets)) > 0
             surroundings.block_by_floors(
                 grid, level_number, level_stack, radius, cell_offsets, ledges, is_blocked
             )
-            is_free[heading_index] = level.free_for_point & ~is_blocked[level_window]
+            is_free[heading_index] = is_free_for_point & ~is_blocked[level_window]
         free_masks.append(is_free)
     return free_masks
 
@@ -534,10 +534,8 @@ def count_covered_cells(mask: Bool, runs: Int) -> Int32:
     counts = np.zeros(mask.shape, dtype=np.int32)
     for row, first_col, last_col in (runs + padding).tolist():
         row_sums = running_sums[row : row + rows]
-        counts += (
-            row_sums[:, last_col : last_col + cols]
-            - row_sums[:, first_col - 1 : first_col - 1 + cols]
-        )
+        counts += row_sums[:, last_col : last_col + cols]
+        counts -= row_sums[:, first_col - 1 : first_col - 1 + cols]
     return counts
 
 

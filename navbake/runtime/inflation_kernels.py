@@ -24,6 +24,7 @@ from navbake.compiled import kernel, subkernel
 from navbake.runtime.grid_arrays import EAST, NORTH, SOUTH, WEST
 
 PATCH_SIZE = 4  # edge of the squares of cells by which floors are compared first
+NO_DISTANCE = 1 << 30  # in cells, where no cell is occupied
 SLAB_THICKNESS = 0.3  # [m] how thick the floor of a level above may be
 
 
@@ -96,6 +97,83 @@ def dilate(is_occupied, half_width):
                 interval_end = col - interval_half_widths[col]
             is_covered[row, col] |= col >= interval_end
     return is_covered
+
+
+@kernel
+def measure_along_columns(is_occupied):
+    """Measure how many rows each cell is away from the nearest occupied cell of its column.
+
+    This is the first pass of Felzenszwalb and Huttenlocher's exact Euclidean distance transform
+    ("Distance Transforms of Sampled Functions", 2012); `measure_along_rows` is the second one.
+
+    Args:
+        is_occupied: uint8, shape (rows, cols).
+
+    Returns:
+        int32, shape (rows, cols); `NO_DISTANCE` where no cell of the column is occupied.
+    """
+    num_rows, num_cols = is_occupied.shape
+    row_distances = np.empty((num_rows, num_cols), dtype=np.int32)
+    for row in range(num_rows):
+        for col in range(num_cols):
+            distance_above = row_distances[row - 1, col] if row > 0 else NO_DISTANCE
+            row_distances[row, col] = (
+                0 if is_occupied[row, col] else min(distance_above + 1, NO_DISTANCE)
+            )
+    for row in range(num_rows - 2, -1, -1):
+        for col in range(num_cols):
+            row_distances[row, col] = min(row_distances[row, col], row_distances[row + 1, col] + 1)
+    return row_distances
+
+
+@kernel(nogil=True)
+def measure_along_rows(row_distances, squared_distances, begin, end):
+    """Measure the squared distance from each cell of some rows to the nearest occupied cell.
+
+    Along a row, an occupied cell of each column is a parabola over the row's cells. The lower
+    envelope of all parabolas is the squared distance, see `measure_along_columns`.
+
+    Args:
+        row_distances: the distances along columns, from `measure_along_columns`.
+        squared_distances: written: squared distances, in cells, int32, shape (rows, cols); -1 where
+            no cell is occupied.
+        begin: first row.
+        end: the row after the last.
+    """
+    num_cols = row_distances.shape[1]
+    centers = np.empty(num_cols, np.int64)  # columns of the parabolas of the envelope
+    heights = np.empty(num_cols)  # what they measure at their centres
+    bounds = np.empty(num_cols + 1)  # from where to where each parabola is the lowest
+    for row in range(begin, end):
+        num_parabolas = 0
+        for col in range(num_cols):
+            row_distance = row_distances[row, col]
+            if row_distance == NO_DISTANCE:
+                continue
+            height = float(row_distance) * float(row_distance)
+            crossing = -np.inf
+            while num_parabolas > 0:
+                other_col = centers[num_parabolas - 1]
+                rise = height - heights[num_parabolas - 1]
+                crossing = (rise / (col - other_col) + (col + other_col)) / 2.0
+                if crossing > bounds[num_parabolas - 1]:
+                    break
+                num_parabolas -= 1
+                crossing = -np.inf
+            centers[num_parabolas] = col
+            heights[num_parabolas] = height
+            bounds[num_parabolas] = crossing
+            num_parabolas += 1
+            bounds[num_parabolas] = np.inf
+        parabola = 0
+        for col in range(num_cols):
+            if num_parabolas == 0:
+                squared_distances[row, col] = -1
+                continue
+            while bounds[parabola + 1] < col:
+                parabola += 1
+            offset = col - centers[parabola]
+            squared_distances[row, col] = np.int32(heights[parabola]) + offset * offset
 
 
 @kernel

@@ -47,6 +47,7 @@ arrays = lazy("navbake.runtime.grid_arrays")  # numba loads slowly
 compiled = lazy("navbake.compiled")
 kernels = lazy("navbake.runtime.inflation_kernels")
 ndimage = lazy("scipy.ndimage")
+threads = lazy("navbake.threads")
 
 LEAST_FLOOR = 0.7  # least share of the cells in an agent's disc that must have a floor
 ALIGNMENT_TOLERANCE = 1e-3  # share of a cell: levels that are offset by less have the same lattice
@@ -222,15 +223,20 @@ def measure_to_occupied(grid: NavGrid, level_number: int, max_distance: float) -
     """
     max_distance_in_cells = max_distance / grid.levels[level_number].lattice.cell_size
     stack, level_window = stack_levels(grid, level_number, math.ceil(max_distance_in_cells) + 1)
-    is_occupied = stack.occupied[stack.level] != 0
-    squared_distances = np.full(is_occupied.shape, -1, dtype=np.int32)
-    if is_occupied.any():
-        distances = ndimage.distance_transform_edt(~is_occupied)
-        squared_distances = np.rint(distances**2).astype(np.int32)
+    compiled.ensure_compiled("runtime.inflation_kernels.")
+    occupied = stack.occupied[stack.level]
+    row_distances = kernels.measure_along_columns(occupied)
+    squared_distances = np.empty(occupied.shape, dtype=np.int32)
+    threads.run_in_chunks(
+        kernels.measure_along_rows,
+        len(occupied),
+        row_distances,
+        squared_distances,
+        min_chunk_size=max(1, threads.LEAST_CELLS // occupied.shape[1]),
+    )
     if len(stack.floor) > 1:
-        compiled.ensure_compiled("runtime.inflation_kernels.")
         disc_offsets = find_disc_offsets(
-            max_distance_in_cells + 1.0, is_occupied.shape, to_squares=False
+            max_distance_in_cells + 1.0, occupied.shape, to_squares=False
         )
         patch_min_z, patch_max_z = _find_floor_extremes(stack, disc_offsets.offsets)
         kernels.measure_near_levels(

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 import navbake
 from differences import first_difference
@@ -17,6 +18,7 @@ from navbake.errors import QueryError
 from navbake.formats.navgrid import dumps_navgrid
 from navbake.navgrid.islands import find_islands
 from navbake.navgrid.user_data import UserData
+from navbake.runtime import inflation_kernels
 from navbake.runtime.inflation import nav2_costs
 from navbake.runtime.search import Search
 from navbake.runtime.surroundings import stack_levels
@@ -461,3 +463,17 @@ def test_costs_that_hardly_fall_reach_everywhere():
     level = level_of("0000000000", "000#000000")
     weights = level.inflate(0.1, costs="nav2", scaling=1e-320).weights
     assert (weights[np.isfinite(weights)] == 252).all()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_distances_to_occupied_cells_are_those_of_scipy(seed):
+    rng = np.random.default_rng(seed)
+    share = rng.choice([0.0, 0.01, 0.2, 1.0])
+    occupied = (rng.random(rng.integers(1, 90, 2)) < share).astype(np.uint8)
+    row_distances = inflation_kernels.measure_along_columns(occupied)
+    squared = np.zeros(occupied.shape, np.int32)
+    inflation_kernels.measure_along_rows(row_distances, squared, 0, len(occupied))
+    expected = np.full(occupied.shape, -1)
+    if occupied.any():
+        expected = np.rint(ndimage.distance_transform_edt(occupied == 0) ** 2)
+    np.testing.assert_array_equal(squared, expected)
