@@ -271,7 +271,7 @@ def count_enclosing(hits, cell, num_enclosing):
 
 
 @subkernel(**NO_REFCOUNT)
-def is_line_blocked(hits, cell, heights, num_enclosing):
+def is_line_blocked(hits, cell, heights, num_enclosing, first_hit_above):
     """Return whether a column's line crosses a geom in a range of heights, or runs inside of one.
 
     Args:
@@ -279,13 +279,11 @@ def is_line_blocked(hits, cell, heights, num_enclosing):
         cell: index of the column.
         heights: the range, as `HeightRange`; its ends don't belong to it.
         num_enclosing: the column's counts, see `count_enclosing`.
+        first_hit_above: index of the column's first hit above the lower end of the range.
     """
-    first_hit = hits.start[cell]
-    end_hit = hits.start[cell + 1]
-    hit = find_first_above(hits.z, first_hit, end_hit, heights.low)
-    if hit < end_hit and hits.z[hit] < heights.high:
+    if first_hit_above < hits.start[cell + 1] and hits.z[first_hit_above] < heights.high:
         return True
-    return num_enclosing[hit - first_hit] > 0
+    return num_enclosing[first_hit_above - hits.start[cell]] > 0
 
 
 @kernel(nogil=True)
@@ -309,5 +307,11 @@ def find_blocked_lines(cells, low_z, high_z, hits, is_blocked, first_test, end_t
     for test_index in range(first_test, end_test):
         if test_index == first_test or cells[test_index] != cells[test_index - 1]:
             count_enclosing(hits, cells[test_index], num_enclosing)
+        cell = cells[test_index]
         heights = HeightRange(low_z[test_index], high_z[test_index])
-        is_blocked[test_index] = is_line_blocked(hits, cells[test_index], heights, num_enclosing)
+        first_hit_above = find_first_above(
+            hits.z, hits.start[cell], hits.start[cell + 1], heights.low
+        )
+        is_blocked[test_index] = is_line_blocked(
+            hits, cell, heights, num_enclosing, first_hit_above
+        )

@@ -112,6 +112,8 @@ class TileState(NamedTuple):
         first_near_query: for each cell, the index of its first query near the current geom's
             heights, (TILE, TILE) int64.
         end_near_query: for each cell, the index past the last such query, (TILE, TILE) int64.
+        end_geom_hit: for each cell, an index that no hit of the current geom is at or above,
+            (TILE, TILE) int64.
         prism_heights: lowest and highest z of all prisms that are tested, (2,) float64 [m].
         open_cell_bits: a bit for each cell for which further geoms are tested, (1,) int64.
         pending_cell_bits: for each flag, a bit for each cell in which the current geom is to be
@@ -129,6 +131,7 @@ class TileState(NamedTuple):
     end_query: Int
     first_near_query: Int
     end_near_query: Int
+    end_geom_hit: Int
     prism_heights: Float
     open_cell_bits: Int
     pending_cell_bits: Int
@@ -203,6 +206,7 @@ def check_tiles(
         end_query=np.empty((TILE, TILE), np.int64),
         first_near_query=np.empty((TILE, TILE), np.int64),
         end_near_query=np.empty((TILE, TILE), np.int64),
+        end_geom_hit=np.empty((TILE, TILE), np.int64),
         prism_heights=np.empty(2),
         open_cell_bits=np.empty(1, np.int64),
         pending_cell_bits=np.empty(4, np.int64),
@@ -340,9 +344,14 @@ def _check_lines(task, num_enclosing):
     is_listing = occupant_lists.ceiling.shape[0] > 0
     tile_state.first_query[:] = 0
     tile_state.end_query[:] = 0
+    tile_state.first_near_query[:] = 0
+    tile_state.end_near_query[:] = 0
+    tile_state.end_geom_hit[:] = 0
     tile_state.open_cell_bits[0] = 0
     tile_state.prism_heights[0] = math.inf
     tile_state.prism_heights[1] = -math.inf
+    hit_above_floor = np.int64(0)  # the first hit of the cell above the query's floor
+    hit_above_step = np.int64(0)  # the first one above the lower end of the query's footprint
     for tile_row in range(tile_state.row_queries.shape[0]):
         row = task.window[0] + tile_row
         for query in range(
@@ -355,15 +364,26 @@ def _check_lines(task, num_enclosing):
             is_first_in_cell = tile_state.end_query[tile_row, tile_col] == 0
             if is_first_in_cell:
                 tile_state.first_query[tile_row, tile_col] = query
+                tile_state.first_near_query[tile_row, tile_col] = query
+                tile_state.end_near_query[tile_row, tile_col] = query
+                tile_state.end_geom_hit[tile_row, tile_col] = hits.start[cell]
+                hit_above_floor = hits.start[cell]
+                hit_above_step = hits.start[cell]
                 count_enclosing(hits, cell, num_enclosing)
             tile_state.end_query[tile_row, tile_col] = query + 1
             agent_heights = HeightRange(floor + footprint.low, floor + footprint.high)
-            is_blocked = is_line_blocked(hits, cell, agent_heights, num_enclosing)
+            end_hit = hits.start[cell + 1]
+            # the floors of a cell ascend
+            while hit_above_step < end_hit and hits.z[hit_above_step] <= agent_heights.low:
+                hit_above_step += 1
+            is_blocked = is_line_blocked(hits, cell, agent_heights, num_enclosing, hit_above_step)
             queries.flags[query] = BLOCKING | BLOCKING_SQUARE | BLOCKED_BY_LINE if is_blocked else 0
             if is_listing:
                 occupant_lists.list_start[query] = 0
+                while hit_above_floor < end_hit and hits.z[hit_above_floor] <= floor:
+                    hit_above_floor += 1
                 floor_geom, gap_below = describe_floor(
-                    hits, cell, floor, occupant_lists.min_normal_z
+                    hits, cell, floor, occupant_lists.min_normal_z, hit_above_floor
                 )
                 occupant_lists.floor_geom[query] = floor_geom
                 occupant_lists.gap_below[query] = gap_below
@@ -582,6 +602,37 @@ def _check_geom(task, shape_kind, shape_ids, geom, entries, num_entries):
 
 
 @subkernel(**NO_REFCOUNT)
+def _bracket(heights, begin, end, limit, guess):
+    """Return a range around a guess in which ascending heights reach and pass a limit.
+
+    The range is widened by steps that double (Bentley and Yao, 1976), so that bisecting it takes
+    little time where the guess is good.
+
+    Args:
+        heights: heights, ascending in ``[begin:end]``.
+        begin: index of the first height.
+        end: index past the last one.
+        limit: the limit.
+        guess: index near which the limit is expected, from `begin` to `end`.
+
+    Returns:
+        The first index of the range, and its end: heights before it are below the limit, and those
+        from its end on are above.
+    """
+    low = guess
+    step = 1
+    while low > begin and heights[low - 1] >= limit:
+        low = max(begin, low - step)
+        step *= 2
+    high = guess
+    step = 1
+    while high < end and heights[high] <= limit:
+        high = min(end, high + step)
+        step *= 2
+    return low, high
+
+
+@subkernel(**NO_REFCOUNT)
 def _find_pending_cells(task, shape_kind, shape_ids, geom, window_near_geom):
     """Find the cells near a geom in which the vertical line leaves some of its flags open.
 
@@ -597,27 +648,55 @@ def _find_pending_cells(task, shape_kind, shape_ids, geom, window_near_geom):
     window = task.window
     tile_state = task.tile_state
     queries = task.queries
+    hits = task.hits
     footprint = task.footprint
     pending_cell_bits = tile_state.pending_cell_bits
     pending_heights = tile_state.pending_heights
     pending_cell_bits[:] = 0
     pending_heights[:, 0] = math.inf
     pending_heights[:, 1] = -math.inf
+    lowest_z = tile_state.geom_box[0, 2]
+    highest_z = tile_state.geom_box[0, 5] + SAME_HEIGHT
     for row in range(window_near_geom[0], window_near_geom[1]):
         for col in range(window_near_geom[2], window_near_geom[3]):
             tile_row = row - window[0]
             tile_col = col - window[2]
             first_query = tile_state.first_query[tile_row, tile_col]
             end_query = tile_state.end_query[tile_row, tile_col]
-            first_near_query = find_first_above(
-                queries.highest_prism_z, first_query, end_query, tile_state.geom_box[0, 2]
+            # geoms that follow each other are often near each other: the search begins at the range
+            # of the geom before
+            low, high = _bracket(
+                queries.highest_prism_z,
+                first_query,
+                end_query,
+                lowest_z,
+                tile_state.first_near_query[tile_row, tile_col],
             )
+            first_near_query = find_first_above(queries.highest_prism_z, low, high, lowest_z)
             # the lowest of the prisms begins at the floor, or higher
-            end_near_query = find_first_at_or_above(
-                queries.floor, first_near_query, end_query, tile_state.geom_box[0, 5] + SAME_HEIGHT
+            low, high = _bracket(
+                queries.floor,
+                first_near_query,
+                end_query,
+                highest_z,
+                max(first_near_query, tile_state.end_near_query[tile_row, tile_col]),
             )
+            end_near_query = find_first_at_or_above(queries.floor, low, high, highest_z)
             tile_state.first_near_query[tile_row, tile_col] = first_near_query
             tile_state.end_near_query[tile_row, tile_col] = end_near_query
+            if first_near_query == end_near_query:
+                continue
+            cell = queries.cell[first_query]
+            low, high = _bracket(
+                hits.z,
+                hits.start[cell],
+                hits.start[cell + 1],
+                highest_z,
+                tile_state.end_geom_hit[tile_row, tile_col],
+            )
+            tile_state.end_geom_hit[tile_row, tile_col] = find_first_above(
+                hits.z, low, high, highest_z
+            )
             for query in range(first_near_query, end_near_query):
                 queries.tested_flags[query] = 0
                 envelope = make_envelope(
@@ -632,7 +711,14 @@ def _find_pending_cells(task, shape_kind, shape_ids, geom, window_near_geom):
                 volumes = make_volumes(
                     lattice, footprint, queries, task.occupant_lists, query, row, col
                 )
-                _begin_geom(task, shape_kind, geom, query, volumes)
+                _begin_geom(
+                    task,
+                    shape_kind,
+                    geom,
+                    query,
+                    volumes,
+                    tile_state.end_geom_hit[tile_row, tile_col],
+                )
                 open_flags = np.int64(queries.tested_flags[query] & ~queries.geom_flags[query])
                 for flag_index, volume in enumerate(volumes):
                     if open_flags & (1 << flag_index):
@@ -646,7 +732,7 @@ def _find_pending_cells(task, shape_kind, shape_ids, geom, window_near_geom):
 
 
 @subkernel(inline="always")
-def _begin_geom(task, shape_kind, geom, query, volumes):
+def _begin_geom(task, shape_kind, geom, query, volumes, end_geom_hit):
     """Set for which flags a geom is tested in a query, and which of them the vertical line proves.
 
     Args:
@@ -655,6 +741,7 @@ def _begin_geom(task, shape_kind, geom, query, volumes):
         geom: id of the geom.
         query: number of the query.
         volumes: the prisms of the flags over the query's floor.
+        end_geom_hit: see `TileState`, of the query's cell.
     """
     queries = task.queries
     occupant_lists = task.occupant_lists
@@ -678,8 +765,9 @@ def _begin_geom(task, shape_kind, geom, query, volumes):
         provable_flags = (
             OCCUPYING | AT_WALL_HEIGHT | (BLOCKING if query_flags & BLOCKED_BY_LINE else 0)
         )
-        highest_z = task.tile_state.geom_box[0, 5] + SAME_HEIGHT
-        flags_on_line = find_flags_on_line(task.hits, queries.cell[query], geom, highest_z, volumes)
+        flags_on_line = find_flags_on_line(
+            task.hits, queries.cell[query], geom, end_geom_hit, volumes
+        )
         geom_flags = flags_on_line & provable_flags & tested_flags
     elif not query_flags & BLOCKING:
         tested_flags |= BLOCKING

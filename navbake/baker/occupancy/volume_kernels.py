@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.core.arrays import NOT_ROUND, Facets, Planes, Prism, Solids
-from navbake.baker.core.bisection_kernels import find_first_above
 from navbake.baker.core.constants import APART, MEETS
 from navbake.baker.core.tiles import cell_center_at
 from navbake.baker.core.tolerances import SAME_HEIGHT, TOUCH_DEPTH
@@ -236,7 +235,7 @@ def shape_meets_prism(shape_arrays, shape_kind, shape, prism, scratch):
 
 
 @subkernel(**NO_REFCOUNT)
-def find_flags_on_line(hits, cell, geom, highest_z, volumes):
+def find_flags_on_line(hits, cell, geom, end_hit, volumes):
     """Return the flags of a geom in a cell that follow from its hits on the cell's vertical line.
 
     The line proves that the geom meets a prism over the floor if it hits the geom between the
@@ -248,7 +247,7 @@ def find_flags_on_line(hits, cell, geom, highest_z, volumes):
         hits: hits on the vertical line through each cell's centre, as `ColumnHits`.
         cell: cell id.
         geom: geom id.
-        highest_z: a height that no hit of the geom lies above [m].
+        end_hit: index of a hit of the cell; no hit of the geom is at or above this index.
         volumes: the prisms over the floor of the cell, as `Volumes`.
     """
     occupying = volumes.occupying
@@ -260,9 +259,7 @@ def find_flags_on_line(hits, cell, geom, highest_z, volumes):
     winding_occupying = 0
     winding_blocking = 0
     winding_at_wall_height = 0
-    first_hit = hits.start[cell]
-    end_hit = find_first_above(hits.z, first_hit, hits.start[cell + 1], highest_z)
-    for hit in range(end_hit - 1, first_hit - 1, -1):
+    for hit in range(end_hit - 1, hits.start[cell] - 1, -1):
         z = hits.z[hit]
         if z <= lowest_z:
             break
@@ -289,7 +286,7 @@ def find_flags_on_line(hits, cell, geom, highest_z, volumes):
 
 
 @subkernel(inline="always")
-def describe_floor(hits, cell, floor, min_normal_z):
+def describe_floor(hits, cell, floor, min_normal_z, first_hit_above):
     """Find the geom whose surface is the floor of a cell, and the gap to the next surface below.
 
     Args:
@@ -297,6 +294,7 @@ def describe_floor(hits, cell, floor, min_normal_z):
         cell: cell id.
         floor: height of the floor [m].
         min_normal_z: least z of the unit normal of a surface that is not too steep for a floor.
+        first_hit_above: index of the cell's first hit above the floor.
 
     Returns:
         The geom's id, -1 if the cell's line hits no such surface at the floor's height; and how far
@@ -306,13 +304,12 @@ def describe_floor(hits, cell, floor, min_normal_z):
     floor_geom = np.int32(-1)
     gap_below = np.inf
     first_hit = hits.start[cell]
-    end_hit = find_first_above(hits.z, first_hit, hits.start[cell + 1], floor)
-    for hit in range(end_hit - 1, first_hit - 1, -1):
+    for hit in range(first_hit_above - 1, first_hit - 1, -1):
         if hits.z[hit] < floor:
             break
         if hits.normal[hit, 2] >= min_normal_z:
             floor_geom = hits.geom[hit]  # of several, the first one
-    for hit in range(end_hit - 1, first_hit - 1, -1):
+    for hit in range(first_hit_above - 1, first_hit - 1, -1):
         if hits.normal[hit, 2] >= min_normal_z and hits.geom[hit] != floor_geom:
             gap_below = floor - hits.z[hit]
             break

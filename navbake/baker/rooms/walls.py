@@ -549,9 +549,16 @@ class WallRays:
         self._lattice = lattice
         has_floor = ~np.isnan(floor)
         self._ray_heights = floor + RAY_HEIGHT
+        heights = self._ray_heights[has_floor]
+        # most walls of a tower are on other levels
+        is_box_at_rays = (walls.boxes[:, 2] <= heights.max() + TILE_MARGIN) & (
+            walls.boxes[:, 5] >= heights.min() - TILE_MARGIN
+        )
+        is_at_rays = np.zeros(len(walls.is_endless), dtype=np.bool_)
+        is_at_rays[walls.geom_of_box[is_box_at_rays]] = True
+        walls = walls.only(is_at_rays)
         triangles_by_batch = [
-            _choose_triangles(facets, self._ray_heights[has_floor])
-            for facets in walls.facets_in_batches()
+            _choose_triangles(facets, heights) for facets in walls.facets_in_batches()
         ]
         triangles = Facets._make(join_arrays(triangles_by_batch))
         self._ray_heights[~has_floor] = NO_FLOOR_HEIGHT
