@@ -35,9 +35,16 @@ from navbake.baker.floors.reach import (
     find_voids,
     mark_largest_on_lowest_level,
 )
-from navbake.baker.floors.regions import Patch, describe_regions, find_large_regions, find_regions
+from navbake.baker.floors.regions import (
+    Patch,
+    describe_regions,
+    find_large_regions,
+    find_large_remaining_regions,
+    find_regions,
+    remove_from_regions,
+)
 from navbake.baker.floors.rejected import find_rejected_regions, mark_reported_roofs
-from navbake.baker.floors.ridges import RIDGE_WIDTH, clear_flags, find_ridges
+from navbake.baker.floors.ridges import RIDGE_WIDTH, find_ridges
 from navbake.baker.floors.surface_kernels import Surfaces
 from navbake.baker.floors.surfaces import find_surfaces
 from navbake.baker.geometry.shapes import Shapes
@@ -137,29 +144,31 @@ def find_floors(
     surfaces = find_surfaces(columns, shapes.planes, agent)
     is_cropped = mark_cropped_sides(lattice, shapes.bounds)
 
-    def find_region_context(surfaces: Surfaces) -> RegionContext:
-        regions = find_regions(surfaces, agent)
-        is_large = find_large_regions(
-            regions, np.ones(regions.num_regions, dtype=np.bool_), settings
-        )
-        return RegionContext(
-            regions=regions,
-            is_large=is_large,
-            columns=columns,
-            is_cropped=is_cropped,
-            agent=agent,
-            settings=settings,
-            is_occupied=is_occupied,
-        )
-
-    region_context = find_region_context(surfaces)
-    if not region_context.regions.num_regions:
+    regions = find_regions(surfaces, agent)
+    if not regions.num_regions:
         raise SceneError(_explain_no_floor(columns, surfaces, agent))
+    region_context = RegionContext(
+        regions=regions,
+        is_large=find_large_regions(
+            regions, np.ones(regions.num_regions, dtype=np.bool_), settings
+        ),
+        columns=columns,
+        is_cropped=is_cropped,
+        agent=agent,
+        settings=settings,
+        is_occupied=is_occupied,
+    )
     if not settings.tops:
         is_ridge = find_ridges(region_context, settings.starts)
         if is_ridge.any():
-            surfaces = clear_flags(surfaces, is_ridge)
-            region_context = find_region_context(surfaces)
+            remaining_regions = remove_from_regions(regions, is_ridge, agent)
+            region_context = replace(
+                region_context,
+                regions=remaining_regions,
+                is_large=find_large_remaining_regions(
+                    remaining_regions, regions, region_context.is_large, is_ridge, settings
+                ),
+            )
             if not region_context.is_large.any():
                 raise SceneError(
                     f"no floor: what is large enough is narrower than {RIDGE_WIDTH:g} m between "
@@ -186,7 +195,7 @@ def find_floors(
     is_reported_roof = mark_reported_roofs(
         region_context, rejected_regions.is_roof & ~is_start, is_floor
     )
-    enclosed_floors = find_enclosed_floors(surfaces, agent, settings)
+    enclosed_floors = find_enclosed_floors(regions.surfaces, agent, settings)
     plane_geoms = shapes.planes.geom
     return Floors(
         levels=_make_level_floors(assignment, floors_by_level, lattice, settings, is_occupied),

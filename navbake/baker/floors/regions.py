@@ -14,7 +14,7 @@ import numpy as np
 
 from navbake.baker.core.area_test import keeps_min_cells, make_area_test
 from navbake.baker.core.arrays import HeightRange
-from navbake.baker.core.blocks import Blocks
+from navbake.baker.core.blocks import Blocks, list_rows
 from navbake.baker.core.components import expand_ranges, label_components
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors import component_kernels as kernels
@@ -133,6 +133,90 @@ def find_components(
         join_rule,
         number_in_block,
     )
+    return _number_components(
+        surfaces,
+        join_rule,
+        group_of_surface,
+        number_in_block=number_in_block,
+        block_of_component=block_of_component,
+        measures=measures,
+        heights=heights,
+    )
+
+
+def relabel_components(
+    components: Components, surfaces: Surfaces, join_rule: JoinRule, changed_blocks: Int
+) -> Components:
+    """Find the components again after surfaces in a few blocks of cells changed.
+
+    Args:
+        components: the components before the change, of surfaces without groups.
+        surfaces: all surfaces after the change; outside of the blocks they are as before.
+        join_rule: the rule by which `components` were found.
+        changed_blocks: ids of the blocks, ascending, shape (k,). Only these are labelled again.
+
+    Returns:
+        The components that `find_components` would find.
+    """
+    blocks = Blocks(surfaces.lattice)
+    first_number_of_block = np.searchsorted(
+        components.block_of_component, np.arange(blocks.num_blocks)
+    )
+    number_in_block_of_component = (
+        np.arange(components.num_components) - first_number_of_block[components.block_of_component]
+    )
+    # the last entry is for surfaces of no component, whose number is -1
+    number_in_block = np.append(number_in_block_of_component, -1).astype(np.int32)[
+        components.component_of_surface
+    ]
+    num_new_in_block, (new_measures, new_heights) = list_rows(
+        kernels.label_blocks,
+        changed_blocks,
+        (NO_MEASURES, NO_HEIGHT_RANGES),
+        surfaces,
+        NO_GROUPS,
+        join_rule,
+        number_in_block,
+    )
+    is_unchanged = ~np.isin(components.block_of_component, changed_blocks)
+    unchanged_heights = np.stack([components.lowest_z, components.highest_z], axis=1)[is_unchanged]
+    block_of_component = np.concatenate(
+        [components.block_of_component[is_unchanged], np.repeat(changed_blocks, num_new_in_block)]
+    )
+    order_by_block = np.argsort(block_of_component, kind="stable")
+    return _number_components(
+        surfaces,
+        join_rule,
+        NO_GROUPS,
+        number_in_block=number_in_block,
+        block_of_component=block_of_component[order_by_block],
+        measures=np.concatenate([components.measures[is_unchanged], new_measures])[order_by_block],
+        heights=np.concatenate([unchanged_heights, new_heights])[order_by_block],
+    )
+
+
+def _number_components(
+    surfaces: Surfaces,
+    join_rule: JoinRule,
+    group_of_surface: Int32,
+    *,
+    number_in_block: Int32,
+    block_of_component: Int,
+    measures: Int,
+    heights: Float,
+) -> Components:
+    """Number components over all blocks, and list the pairs that meet.
+
+    Args:
+        surfaces: all surfaces.
+        join_rule: the rule by which the components were found.
+        group_of_surface: the group of each surface, see `find_components`.
+        number_in_block: for each surface, the number of its component in the block, -1 for none.
+        block_of_component: the block of each component, ascending, shape (components,).
+        measures: see `Components`, shape (components, 7).
+        heights: the lowest and the highest height of each component, shape (components, 2) [m].
+    """
+    blocks = Blocks(surfaces.lattice)
     numbering = ComponentNumbering(
         number_in_block=number_in_block,
         first_number_of_block=np.searchsorted(block_of_component, np.arange(blocks.num_blocks)),
@@ -333,9 +417,44 @@ def find_regions(
         group_of_surface: the group of each surface, negative to leave it out, shape (surfaces,). A
             region lies in one group. If empty, all standable surfaces are in the same group.
     """
-    components = find_components(
-        surfaces, make_region_join_rule(surfaces.lattice, agent), group_of_surface
+    join_rule = make_region_join_rule(surfaces.lattice, agent)
+    return _merge_to_regions(surfaces, find_components(surfaces, join_rule, group_of_surface))
+
+
+def remove_from_regions(regions: Regions, is_removed: Bool, agent: AgentSettings) -> Regions:
+    """Return the regions that are left after some surfaces are removed from them.
+
+    No agent stands on a removed surface then (its `Surfaces.flags` are 0), but a floor beside it
+    may still continue there.
+
+    Args:
+        regions: all regions, as `find_regions` finds them without groups.
+        is_removed: which surfaces are removed, shape (surfaces,), bool.
+        agent: the agent, of which the step and slope are used.
+
+    Returns:
+        The regions that `find_regions` would find. Only the blocks of cells that hold removed
+        surfaces are labelled again.
+    """
+    flags = np.where(is_removed, np.uint8(0), regions.surfaces.flags)
+    surfaces = regions.surfaces._replace(flags=flags)
+    components = relabel_components(
+        regions.components,
+        surfaces,
+        make_region_join_rule(surfaces.lattice, agent),
+        _list_blocks_of(regions, is_removed),
     )
+    return _merge_to_regions(surfaces, components)
+
+
+def _list_blocks_of(regions: Regions, is_selected: Bool) -> Int:
+    """List the blocks of cells in which regions have selected surfaces, ascending, shape (k,)."""
+    component = regions.components.component_of_surface[is_selected]
+    return np.unique(regions.components.block_of_component[component[component >= 0]])
+
+
+def _merge_to_regions(surfaces: Surfaces, components: Components) -> Regions:
+    """Merge the components of all blocks to regions, and measure these."""
     merged_component = components.merge_across_blocks()
     num_regions = int(merged_component.max(initial=-1)) + 1
     # sort components by region: those of a region then stand side by side, and the measures of the
@@ -411,6 +530,44 @@ def find_large_regions(regions: Regions, is_tested: Bool, settings: FloorSetting
                 is_in_region = _fill_region(regions, region_id, max_hole_cells)
                 is_large[region_id] = keeps_min_cells(area_test, is_in_region)
     return is_large
+
+
+def find_large_remaining_regions(
+    remaining_regions: Regions,
+    regions: Regions,
+    is_large: Bool,
+    is_removed: Bool,
+    settings: FloorSettings,
+) -> Bool:
+    """Mark the regions that are large enough for floors after surfaces were removed.
+
+    Only regions that may have lost surfaces are tested; the others are as large as before.
+
+    Args:
+        remaining_regions: the regions that are left, see `remove_from_regions`.
+        regions: the regions before the removal.
+        is_large: which of these were large enough, see `find_large_regions`.
+        is_removed: which surfaces were removed, shape (surfaces,), bool.
+        settings: the settings of `floors`, see `find_large_regions`.
+
+    Returns:
+        A mask of the remaining regions that are large enough, shape (remaining regions,), bool.
+    """
+    changed_blocks = _list_blocks_of(regions, is_removed)
+    # outside of these blocks, the components are the same, in the same order
+    is_same_before = ~np.isin(regions.components.block_of_component, changed_blocks)
+    is_same_now = ~np.isin(remaining_regions.components.block_of_component, changed_blocks)
+    region_before = np.full(remaining_regions.num_regions, -1)
+    region_before[remaining_regions.region_of_component[is_same_now]] = regions.region_of_component[
+        is_same_before
+    ]
+    # each region is a part of the region before: with as many surfaces, it is all of it
+    is_whole = (region_before >= 0) & (
+        remaining_regions.num_surfaces == regions.num_surfaces[region_before]
+    )
+    is_large_now = find_large_regions(remaining_regions, ~is_whole, settings)
+    is_large_now[is_whole] = is_large[region_before[is_whole]]
+    return is_large_now
 
 
 def _fill_region(regions: Regions, region: int, max_hole_cells: float) -> Bool:

@@ -230,15 +230,3 @@ def _mark_ridges_at_positions(
         if 0 <= col < lattice.width:
             has_position[ridge_of_surface[is_at_position]] = True
     return has_position
-
-
-def clear_flags(surfaces: Surfaces, is_cleared: Bool) -> Surfaces:
-    """Return all surfaces, with `Surfaces.flags` set to 0 where a mask is True.
-
-    No agent stands on such a surface then, but a floor beside it may still continue there.
-
-    Args:
-        surfaces: all surfaces.
-        is_cleared: shape (surfaces,), bool.
-    """
-    return surfaces._replace(flags=np.where(is_cleared, np.uint8(0), surfaces.flags))

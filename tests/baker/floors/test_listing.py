@@ -11,7 +11,12 @@ from navbake.baker.core.components import label_components
 from navbake.baker.core.limits import make_agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.baker.core.windows import NEIGHBOR_SLICES
-from navbake.baker.floors.regions import find_regions
+from navbake.baker.floors.regions import (
+    find_large_regions,
+    find_large_remaining_regions,
+    find_regions,
+    remove_from_regions,
+)
 from navbake.baker.floors.surface_kernels import STANDABLE, UNCOVERED
 from navbake.baker.floors.surfaces import find_surfaces
 from navbake.threads import limit_threads
@@ -141,3 +146,33 @@ def test_regions_are_the_parts_of_one_graph(tmp_path, seed):
     surfaces = surfaces_in(stages, [stages.columns.valid_rows])
     regions = find_regions(surfaces, stages.config.agent)
     check_regions(regions, stages.config.agent.traversable_floor_height)
+
+
+@pytest.mark.parametrize("num_removed", [1, 30, 3000])
+@pytest.mark.parametrize("seed", [5, 6])
+def test_regions_without_some_surfaces_are_those_of_the_others(tmp_path, seed, num_removed):
+    """Only some blocks are labelled again, and only some regions are tested for their size."""
+    stages = bake(tmp_path, seed)
+    agent, settings = stages.config.agent, stages.config.floors
+    surfaces = surfaces_in(stages, [stages.columns.valid_rows])
+    regions = find_regions(surfaces, agent)
+    is_removed = np.zeros(len(surfaces.z), dtype=np.bool_)
+    first = np.random.default_rng(seed).integers(0, max(len(surfaces.z) - num_removed, 1))
+    is_removed[first : first + num_removed] = True
+    left = remove_from_regions(regions, is_removed, agent)
+    flags = np.where(is_removed, 0, surfaces.flags).astype(np.uint8)
+    expected = find_regions(surfaces._replace(flags=flags), agent)
+    assert np.array_equal(left.surfaces.flags, flags)
+    for name in ("num_surfaces", "num_uncovered", "box", "lowest_z", "highest_z"):
+        assert np.array_equal(getattr(left, name), getattr(expected, name)), name
+    assert np.array_equal(left.region_of_component, expected.region_of_component)
+    for name in expected.components._fields:
+        values = getattr(left.components, name)
+        assert np.array_equal(values, getattr(expected.components, name)), name
+    for min_area in (0.01, 0.1, 1.0):
+        limits = settings.model_copy(update={"min_area": min_area, "shrink": 0.0})
+        is_large = find_large_regions(regions, regions.num_surfaces > 0, limits)
+        is_large_now = find_large_remaining_regions(left, regions, is_large, is_removed, limits)
+        assert np.array_equal(
+            is_large_now, find_large_regions(expected, expected.num_surfaces > 0, limits)
+        )
