@@ -32,6 +32,8 @@ ENDLESS_HALF_SIZE = 1e4
 MIN_ITEMS_PER_CHUNK = 4096
 # A mesh is divided into at most this many chunks, as each needs arrays of its own
 MAX_CHUNKS = 8
+# Meshes of at most this many vertices are measured together: a call for each takes longer
+MAX_JOINED_POINTS = 1000
 NUM_SIDES = 32  # of round solids that are made of triangles
 # Triangles of about this many are expanded at a time
 TRIANGLES_PER_BATCH = 1 << 20
@@ -310,18 +312,42 @@ def gather_meshes(triangles_of_geoms: Iterable[tuple[int, GeomTriangles]]) -> Me
     non_empty_meshes = [(geom, mesh) for geom, mesh in triangles_of_geoms if len(mesh.faces)]
     geom_ids = [geom for geom, _ in non_empty_meshes]
     meshes = [mesh for _, mesh in non_empty_meshes]
+    # by the id of the faces, which geoms of one mesh share; None if all vertices are used
+    used_mask_by_faces_id = dict[int, Bool | None]()
     boxes = np.empty((len(meshes), 6))
-    used_mask_by_faces_id = dict[
-        int, Bool
-    ]()  # by the id of the faces, which geoms of one mesh share
-    for box, mesh in zip(boxes, meshes, strict=True):
+    small_meshes = list[int]()
+    vertices_of_small_meshes = list[Float]()
+    for number, mesh in enumerate(meshes):
         if id(mesh.faces) not in used_mask_by_faces_id:
-            used_mask_by_faces_id[id(mesh.faces)] = mark_used_vertices(
-                len(mesh.vertices), mesh.faces
-            )
-        is_used = used_mask_by_faces_id[id(mesh.faces)]
-        box[:] = bounding_box(mesh.vertices if is_used.all() else mesh.vertices[is_used])
+            is_used = mark_used_vertices(len(mesh.vertices), mesh.faces)
+            used_mask_by_faces_id[id(mesh.faces)] = None if is_used.all() else is_used
+        used_mask = used_mask_by_faces_id[id(mesh.faces)]
+        vertices = mesh.vertices if used_mask is None else mesh.vertices[used_mask]
+        if len(vertices) > MAX_JOINED_POINTS:
+            boxes[number] = bounding_box(vertices)
+        else:
+            small_meshes.append(number)
+            vertices_of_small_meshes.append(vertices)
+    if small_meshes:
+        boxes[small_meshes] = _measure_small_boxes(vertices_of_small_meshes)
     return Meshes(np.array(geom_ids, dtype=np.int32), meshes, boxes)
+
+
+def _measure_small_boxes(point_sets: list[Float]) -> Float:
+    """Measure the boxes around several small sets of points, all sets at once.
+
+    Args:
+        point_sets: at least one set, each of at least one point, shape (n, 3) [m].
+
+    Returns:
+        Lower corner, upper corner of each box, shape (sets, 6) [m].
+    """
+    num_points = np.array([len(points) for points in point_sets])
+    first_points = np.cumsum(num_points) - num_points
+    points = np.concatenate(point_sets)
+    lower_corners = np.minimum.reduceat(points, first_points)
+    upper_corners = np.maximum.reduceat(points, first_points)
+    return np.hstack([lower_corners, upper_corners])
 
 
 def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:

@@ -89,6 +89,22 @@ def test_bounds_leave_out_endless_planes():
     assert box_of(strip, [0, 0], [True]) is None
 
 
+def test_boxes_are_those_of_used_vertices_whatever_the_meshes_sizes():
+    rng = np.random.default_rng(0)
+    meshes = []
+    for geom, (num_vertices, num_faces) in enumerate([(3, 1), (8, 20), (5000, 4000), (40, 3)]):
+        vertices = rng.normal(size=(num_vertices, 3))
+        faces = rng.integers(0, num_vertices, size=(num_faces, 3), dtype=np.int32)
+        part, closed = np.zeros(num_faces, np.int32), np.zeros(num_faces, np.uint8)
+        triangles = shapes.GeomTriangles(vertices, faces, part, closed, "surface")
+        # a second geom of the same mesh, which shares its faces
+        meshes += [(2 * geom, triangles), (2 * geom + 1, triangles._replace(vertices=-vertices))]
+    boxes = shapes.gather_meshes(meshes).boxes
+    for box, (_, triangles) in zip(boxes, meshes, strict=True):
+        corners = triangles.vertices[triangles.faces.ravel()]
+        np.testing.assert_array_equal(box, [*corners.min(axis=0), *corners.max(axis=0)])
+
+
 # ---------------------------------------------------------------- height fields and planes
 
 
