@@ -59,6 +59,8 @@ def warn_uncounted(
         One warning, which names the largest things; or none.
     """
     is_candidate = _mark_candidates(scene)
+    if not is_candidate.any():
+        return []
     free_by_level = [
         level.standable & ~is_occupied
         for level, is_occupied in zip(floors.levels, occupancy.levels, strict=True)

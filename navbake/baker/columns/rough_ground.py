@@ -117,16 +117,16 @@ def _find_steep_facets(
     Returns:
         The cells of the hits, (n,), and the indices of the hits, (n,).
     """
-    first_cell, end_cell = columns.valid_rows.cell_range(columns.lattice)
-    cells = np.arange(first_cell, end_cell)
-    if is_selected is not None:
-        cells = np.flatnonzero(is_selected)
     is_steep = columns.hits.closed != CONVEX_SOLID
     if is_steep.any():
         normal_z = columns.normal[:, 2]
         is_steep &= (normal_z > 0.0) & (normal_z < limits.min_normal_z)
     if not is_steep.any():
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    first_cell, end_cell = columns.valid_rows.cell_range(columns.lattice)
+    cells = np.arange(first_cell, end_cell)
+    if is_selected is not None:
+        cells = np.flatnonzero(is_selected)
     column_index, hit_indices = expand_ranges(columns.start[cells], columns.start[cells + 1])
     is_steep_hit = is_steep[hit_indices]
     cell_ids = cells[column_index[is_steep_hit]]

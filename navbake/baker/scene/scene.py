@@ -64,8 +64,7 @@ MIN_SCENE_SIDE = 0.5
 METRES_HINT = "MuJoCo's unit is the metre: check the lengths, or the `scale` of its meshes"
 
 
-@dataclass(frozen=True)
-class GeomReport:
+class GeomReport(NamedTuple):
     """The report on one geom, as `navbake geoms` prints it: whether and how it is baked.
 
     Attributes:
