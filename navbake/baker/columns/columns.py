@@ -28,6 +28,8 @@ from navbake.types import Float, Int, Int32
 CELLS_PER_CHUNK = 1 << 20
 # Fewer lines than this are not worth a call on another thread
 MIN_POINTS_PER_CALL = 1024
+# Columns of about this many lines are copied together when superfluous hits are removed
+LINES_PER_BATCH = 1 << 14
 # Boxes are listed on several threads, in this many chunks for each, if there are more than
 # MIN_BOXES_PER_TILE_FOR_THREADS boxes for each tile; fewer are listed on one thread
 BOX_CHUNKS_PER_THREAD = 2
@@ -127,6 +129,12 @@ class TiledShapes:
             self.facets.bounds, RIM_WIDTH, self.lattice
         )
         return ShapeIndex(solid_start, solid_indices, triangle_start, triangle_indices)
+
+    @property
+    def geometry(self) -> Geometry:
+        """Return the listed shapes as kernels take them."""
+        shapes = self.shapes
+        return Geometry(shapes.solids, self.facets, shapes.planes, self.height_range)
 
     @cached_property
     def height_range(self) -> HeightRange:
@@ -422,10 +430,7 @@ def _cast_groups(
             last one.
         min_groups_per_call: smallest number of groups for one call, see `run_in_chunks`.
     """
-    shapes = tiled_shapes.shapes
-    geometry = Geometry(
-        shapes.solids, tiled_shapes.facets, shapes.planes, tiled_shapes.height_range
-    )
+    geometry = tiled_shapes.geometry
     num_dropped = np.zeros(group_range.stop, dtype=np.int64)
     is_crossed = np.empty(len(shape_index.triangle_indices), dtype=np.bool_)
 
@@ -475,29 +480,31 @@ def _remove_dropped_hits(
     remaining_hits = empty_hits(hits.start, len(hits.z) - int(num_dropped_before[-1]))
 
     def copy_remaining(first_group: int, end_group: int) -> None:
-        for group in range(first_group, end_group):
-            old_first_hit, old_end_hit = hit_limits_of_groups[
-                group - group_range.start : group - group_range.start + 2
-            ]
-            new_first_hit = old_first_hit - int(num_dropped_before[group])
-            new_end_hit = old_end_hit - int(num_dropped_before[group + 1])
-            hit_ends = hits.start[group * lines_per_group + 1 : (group + 1) * lines_per_group + 1]
-            is_remaining = hits.geom[old_first_hit:old_end_hit] != DROPPED
-            hit_ends[:] = (
-                new_first_hit + np.append(0, np.cumsum(is_remaining))[hit_ends - old_first_hit]
+        old_first_hit = hit_limits_of_groups[first_group - group_range.start]
+        old_end_hit = hit_limits_of_groups[end_group - group_range.start]
+        new_first_hit = old_first_hit - int(num_dropped_before[first_group])
+        new_end_hit = old_end_hit - int(num_dropped_before[end_group])
+        hit_ends = hits.start[first_group * lines_per_group + 1 : end_group * lines_per_group + 1]
+        is_remaining = hits.geom[old_first_hit:old_end_hit] != DROPPED
+        hit_ends[:] = (
+            new_first_hit + np.append(0, np.cumsum(is_remaining))[hit_ends - old_first_hit]
+        )
+        remaining_indices = np.flatnonzero(is_remaining)
+        for old_array, new_array in zip(hits.entries, remaining_hits.entries, strict=True):
+            np.take(
+                old_array[old_first_hit:old_end_hit],
+                remaining_indices,
+                axis=0,
+                out=new_array[new_first_hit:new_end_hit],
+                mode="clip",
             )
-            remaining_indices = np.flatnonzero(is_remaining)
-            for old_array, new_array in zip(hits.entries, remaining_hits.entries, strict=True):
-                new_entries = new_array[new_first_hit:new_end_hit]
-                np.take(
-                    old_array[old_first_hit:old_end_hit],
-                    remaining_indices,
-                    axis=0,
-                    out=new_entries,
-                    mode="clip",
-                )
 
-    run_in_chunks(copy_remaining, len(group_range), begin=group_range.start)
+    def copy_in_batches(first_group: int, end_group: int) -> None:
+        groups_per_batch = max(1, LINES_PER_BATCH // lines_per_group)
+        for first_in_batch in range(first_group, end_group, groups_per_batch):
+            copy_remaining(first_in_batch, min(first_in_batch + groups_per_batch, end_group))
+
+    run_in_chunks(copy_in_batches, len(group_range), begin=group_range.start)
     return remaining_hits
 
 

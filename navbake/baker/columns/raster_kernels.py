@@ -21,8 +21,6 @@ from navbake.compiled import NO_REFCOUNT, subkernel
 
 # For edges shorter than this, the distance is always computed [m]
 SHORT_EDGE = 1e-6
-# In place of the `_edge_limit` of a triangle's three edges: distances are always computed
-NO_LIMITS = (np.inf, np.inf, np.inf)
 # If the first and the last column under a triangle's box are at least this far apart, they are
 # computed anew for each row [cells]
 MIN_COLUMNS_FOR_SPANS = 4
@@ -59,12 +57,21 @@ def _edge_limit(corners, triangle, first_corner, second_corner):
 
 
 @subkernel(inline="always")
-def _cross_triangle(corners, triangle, x, y, edge_limits):
+def find_edge_limits(corners, triangle):
+    """Return the `_edge_limit` of the edges opposite to corners 0, 1 and 2 of a triangle [m²]."""
+    return (
+        _edge_limit(corners, triangle, 1, 2),
+        _edge_limit(corners, triangle, 2, 0),
+        _edge_limit(corners, triangle, 0, 1),
+    )
+
+
+@subkernel(inline="always")
+def cross_triangle(corners, triangle, x, y, edge_limits):
     """Return whether the vertical line at (x, y) crosses a triangle, and at which height [m].
 
     The first number is 0 for no crossing, 1 for a crossing inside, 2 for a crossing at most
-    RIM_WIDTH from an edge. `edge_limits` are the `_edge_limit` of the edges opposite to corners 0,
-    1 and 2, or NO_LIMITS.
+    RIM_WIDTH from an edge. `edge_limits` are the triangle's, see `find_edge_limits`.
     """
     ax = corners[triangle, 0, 0] - x
     ay = corners[triangle, 0, 1] - y
@@ -124,10 +131,10 @@ def hit_triangle(
         facets: the triangles in the world frame.
         facet_index: index of the triangle in `facets`.
         x, y: the line [m].
-        edge_limits: a limit for each of the edges opposite to corners 0, 1 and 2 [m²]. If the
-            edge function's absolute value is larger, its sign alone tells on which side of the edge
-            the line runs; else the line's distance to the edge is computed. NO_LIMITS to compute it
-            always.
+        edge_limits: a limit for each of the edges opposite to corners 0, 1 and 2 [m²], see
+            `find_edge_limits`. If the edge function's absolute value is larger, its sign alone
+            tells on which side of the edge the line runs; else the line's distance to the edge is
+            computed.
         hits: `LineHits` to write into.
         hit_index: index in `hits` at which to write.
         is_writing: whether to write the hit.
@@ -135,7 +142,7 @@ def hit_triangle(
     Returns:
         The number of hits, 0 or 1.
     """
-    crossing_kind, z = _cross_triangle(corners, corners_index, x, y, edge_limits)
+    crossing_kind, z = cross_triangle(corners, corners_index, x, y, edge_limits)
     if crossing_kind == 0:
         return 0
     if not is_writing:
@@ -223,11 +230,7 @@ def raster_triangles(facets, triangles, is_crossed, lattice, rows, hits, next_hi
         x_high = bounds[triangle, 3] + RIM_WIDTH
         first_col, last_col = find_centers_between(x_low - x_min, x_high - x_min, cell_size, width)
         needs_spans = last_col - first_col >= MIN_COLUMNS_FOR_SPANS
-        edge_limits = (
-            _edge_limit(corners, triangle, 1, 2),
-            _edge_limit(corners, triangle, 2, 0),
-            _edge_limit(corners, triangle, 0, 1),
-        )
+        edge_limits = find_edge_limits(corners, triangle)
         for row in range(max(first_row, rows[0]), min(last_row, rows[1] - 1) + 1):
             y = cell_center(lattice, row * width)[1]
             if needs_spans:

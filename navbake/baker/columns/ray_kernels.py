@@ -33,7 +33,7 @@ from navbake.baker.columns.hit_kernels import (
     view_hits,
 )
 from navbake.baker.columns.raster_kernels import (
-    NO_LIMITS,
+    find_edge_limits,
     hit_triangle,
     is_beside,
     raster_triangles,
@@ -54,7 +54,9 @@ PLANE_KIND = np.int32(PLANE)
 RIM_CLEARANCE = 1e-5
 # In solids with a smaller half-size, no ray serves several lines [m]
 MIN_HALF_SIZE = 1e-3
-LINES_PER_CALL = 64  # lines through points that one call takes together
+# Lines through points that one call takes together. Those that have the same tiles are compared
+# with triangles together, which is fast where they are near each other
+LINES_PER_CALL = 64
 # Axes; for plain ints, numba would compile functions once for each
 X = np.int64(0)
 Y = np.int64(1)
@@ -199,7 +201,7 @@ def _write_hit(hits, hit_index, z, normal, normal_z, geom):
 
 
 @subkernel(**NO_REFCOUNT)
-def _hit_solid(solids, solid, x, y, ray, hits, first_hit):
+def hit_solid(solids, solid, x, y, ray, hits, first_hit):
     """Write where the vertical line at (x, y) enters and leaves a solid; return how many hits.
 
     They are written into `hits` from index `first_hit` on.
@@ -230,7 +232,7 @@ def _has_vertical_z_axis(mat):
 
 
 @subkernel(**NO_REFCOUNT)
-def _hit_plane(planes, plane, x, y, height_range, ray, hits, first_hit):
+def hit_plane(planes, plane, x, y, height_range, ray, hits, first_hit):
     """Write where the vertical line at (x, y) crosses the front of a plane; return how many hits.
 
     They are written into `hits` from index `first_hit` on. `height_range` has a height
@@ -328,7 +330,7 @@ def _cast_solid(solids, solid, lattice, rows, ray, middle_hits, hits, next_hit, 
     if has_simple_rim and _has_flat_ends(solids, solid):
         x = solids.pos[solid, 0]
         y = solids.pos[solid, 1]
-        reuses_middle_hits = _hit_solid(solids, solid, x, y, ray, middle_hits, np.int64(0)) == 2
+        reuses_middle_hits = hit_solid(solids, solid, x, y, ray, middle_hits, np.int64(0)) == 2
     for row in range(first_row, last_row + 1):
         y = cell_center(lattice, row * lattice.width)[1]
         for col in range(first_col, last_col + 1):
@@ -345,7 +347,7 @@ def _cast_solid(solids, solid, lattice, rows, ray, middle_hits, hits, next_hit, 
                     copy_hit(middle_hits, i, hits, hit_index + i)
                 next_hit[line] += 2
             else:
-                next_hit[line] += _hit_solid(solids, solid, x, y, ray, hits, hit_index)
+                next_hit[line] += hit_solid(solids, solid, x, y, ray, hits, hit_index)
 
 
 @subkernel(**NO_REFCOUNT)
@@ -373,7 +375,7 @@ def _cast_plane(
     for line in range(next_hit.shape[0]):
         if not is_horizontal or line == 0:
             x, y = cell_center(lattice, rows[0] * lattice.width + line)
-            num_hits = _hit_plane(
+            num_hits = hit_plane(
                 planes, plane, x, y, height_range, ray, middle_hits, first_middle_hit
             )
         hit_index = next_hit[line] if is_writing else 0
@@ -477,20 +479,45 @@ def _project_triangle(axes, axis, corners, triangle):
 
 
 @subkernel(inline="always")
-def _may_cross(corners, triangle, x, y, axes, local_corners):
-    """Return whether a line at (x, y) of a frame may cross a triangle.
+def _box_of_points(points):
+    """Return the box around points: least x, least y, greatest x, greatest y [m]."""
+    x_low = points[0, 0]
+    y_low = points[0, 1]
+    x_high = x_low
+    y_high = y_low
+    for line in range(1, points.shape[0]):
+        x_low = min(x_low, points[line, 0])
+        y_low = min(y_low, points[line, 1])
+        x_high = max(x_high, points[line, 0])
+        y_high = max(y_high, points[line, 1])
+    return x_low, y_low, x_high, y_high
 
-    The line is vertical in the frame with the given axes. If it may cross the triangle,
-    `local_corners`, (1, 3, 3), receives the triangle's corners in that frame.
+
+@subkernel(inline="always")
+def _project_near_box(corners, triangle, box, axes, local_corners):
+    """Compute a triangle's corners in a frame, if vertical lines of a box there may cross it.
+
+    Args:
+        corners: corners of triangles, world frame, (m, 3, 3) [m].
+        triangle: index of the triangle.
+        box: least x, least y, greatest x and greatest y of the lines in the frame [m].
+        axes: the axes of the frame, one in each row, (3, 3).
+        local_corners: receives the triangle's corners in the frame, (1, 3, 3) [m].
+
+    Returns:
+        Whether any of the lines may cross the triangle; then the box of the points at most
+        RIM_WIDTH from it: least x, least y, greatest x and greatest y [m].
     """
     x0, x1, x2 = _project_triangle(axes, X, corners, triangle)
-    if (
-        x < min(x0, x1, x2) - RIM_WIDTH or x > max(x0, x1, x2) + RIM_WIDTH
-    ):  # true for most triangles
-        return False
+    x_low = min(x0, x1, x2) - RIM_WIDTH
+    x_high = max(x0, x1, x2) + RIM_WIDTH
+    if box[2] < x_low or box[0] > x_high:  # true for most triangles
+        return False, x_low, 0.0, x_high, 0.0
     y0, y1, y2 = _project_triangle(axes, Y, corners, triangle)
-    if y < min(y0, y1, y2) - RIM_WIDTH or y > max(y0, y1, y2) + RIM_WIDTH:
-        return False
+    y_low = min(y0, y1, y2) - RIM_WIDTH
+    y_high = max(y0, y1, y2) + RIM_WIDTH
+    if box[3] < y_low or box[1] > y_high:
+        return False, x_low, y_low, x_high, y_high
     z0, z1, z2 = _project_triangle(axes, Z, corners, triangle)
     local_corners[0, 0, X] = x0
     local_corners[0, 1, X] = x1
@@ -501,43 +528,110 @@ def _may_cross(corners, triangle, x, y, axes, local_corners):
     local_corners[0, 0, Z] = z0
     local_corners[0, 1, Z] = z1
     local_corners[0, 2, Z] = z2
-    return unit_normal(local_corners, 0)[2] != 0.0
+    return unit_normal(local_corners, 0)[2] != 0.0, x_low, y_low, x_high, y_high
 
 
 @subkernel(**NO_REFCOUNT)
-def _cast_line(
-    lattice, geometry, tile_index, lines, line, ray, local_corners, hits, first_hit, is_writing
+def _cast_at_triangles(
+    facets,
+    triangles,
+    lines,
+    local_corners,
+    hits,
+    next_hit,
+    is_writing,
 ):
-    """Write where a line crosses all shapes; return how many hits.
+    """Write where lines cross triangles.
+
+    Most triangles are near none of the lines, so each is compared with the box around all lines
+    before it is compared with each line.
+
+    Args:
+        facets: the triangles, as `Facets`.
+        triangles: indices into `facets` of those to cross.
+        lines: the lines, as `Lines`.
+        local_corners: room for a triangle's corners, (1, 3, 3).
+        hits: `LineHits` to write into.
+        next_hit: for each line, where its next hit goes in `hits`, int64; advanced by 1 for each
+            hit.
+        is_writing: whether to write hits; else they are only counted.
+    """
+    bounds = facets.bounds
+    points = lines.points
+    is_rotated = lines.axes[0, 0] != 1.0 or lines.axes[2, 2] != 1.0
+    box = _box_of_points(points)
+    for entry in range(triangles.shape[0]):
+        triangle = triangles[entry]
+        if not is_rotated and (
+            box[2] < bounds[triangle, 0] - RIM_WIDTH
+            or box[0] > bounds[triangle, 3] + RIM_WIDTH
+            or box[3] < bounds[triangle, 1] - RIM_WIDTH
+            or box[1] > bounds[triangle, 4] + RIM_WIDTH
+        ):
+            continue
+        is_near, x_low, y_low, x_high, y_high = _project_near_box(
+            facets.corners, triangle, box, lines.axes, local_corners
+        )
+        if not is_near:
+            continue
+        edge_limits = find_edge_limits(local_corners, 0)
+        for line in range(points.shape[0]):
+            x = points[line, 0]
+            y = points[line, 1]
+            if x < x_low or x > x_high or y < y_low or y > y_high:
+                continue
+            hit_index = next_hit[line]
+            num_hits = hit_triangle(
+                local_corners, 0, facets, triangle, x, y, edge_limits, hits, hit_index, is_writing
+            )
+            if num_hits > 0 and is_writing and is_rotated:
+                # a triangle over two of the lines' tiles is hit twice, so such hits cannot say
+                # what is inside
+                hits.closed[hit_index] = OPEN_SURFACE
+            next_hit[line] += num_hits
+
+
+@subkernel(**NO_REFCOUNT)
+def _cast_at_points(
+    lattice,
+    geometry,
+    tile_index,
+    lines,
+    ray,
+    local_corners,
+    hits,
+    next_hit,
+    is_writing,
+):
+    """Write where lines through points cross all shapes. The lines have the same tiles.
 
     Args:
         lattice: the cells, as `Lattice`.
         geometry: the shapes, as `Geometry`.
         tile_index: the shapes over each tile.
         lines: the lines, as `Lines`.
-        line: index of the line.
         ray: a `Ray` to cast.
         local_corners: room for a triangle's corners, (1, 3, 3).
         hits: `LineHits` to write into.
-        first_hit: index in `hits` of the line's first hit.
-        is_writing: whether there is room for all hits; else they are only counted.
+        next_hit: for each line, where its next hit goes in `hits`, int64; advanced by 1 for each
+            hit.
+        is_writing: whether to write hits; else they are only counted.
     """
     solids = geometry.solids
-    facets = geometry.facets
     planes = geometry.planes
     height_range = geometry.height_range
-    x = lines.points[line, 0]
-    y = lines.points[line, 1]
-    num_line_hits = 0
+    points = lines.points
     tiles_per_row = -(-lattice.width // TILE)
-    first_tile_row = lines.tiles[line, 0] // tiles_per_row
-    second_tile_row = lines.tiles[line, 1] // tiles_per_row
-    first_tile_col = lines.tiles[line, 0] % tiles_per_row
-    second_tile_col = lines.tiles[line, 1] % tiles_per_row
-    is_rotated = lines.axes[0, 0] != 1.0 or lines.axes[2, 2] != 1.0
+    first_tile_row = lines.tiles[0, 0] // tiles_per_row
+    second_tile_row = lines.tiles[0, 1] // tiles_per_row
+    first_tile_col = lines.tiles[0, 0] % tiles_per_row
+    second_tile_col = lines.tiles[0, 1] % tiles_per_row
     for plane in range(planes.geom.shape[0]):
-        next_hit = first_hit + num_line_hits if is_writing else first_hit
-        num_line_hits += _hit_plane(planes, plane, x, y, height_range, ray, hits, next_hit)
+        for line in range(points.shape[0]):
+            x = points[line, 0]
+            y = points[line, 1]
+            hit_index = next_hit[line] if is_writing else 0
+            next_hit[line] += hit_plane(planes, plane, x, y, height_range, ray, hits, hit_index)
     for row in range(
         min(first_tile_row, second_tile_row), max(first_tile_row, second_tile_row) + 1
     ):
@@ -547,28 +641,40 @@ def _cast_line(
             tile = row * tiles_per_row + col
             for entry in range(tile_index.solid_start[tile], tile_index.solid_start[tile + 1]):
                 solid = tile_index.solid_indices[entry]
-                next_hit = first_hit + num_line_hits if is_writing else first_hit
-                if not is_beside(solids.bounds, solid, x, y):
-                    num_line_hits += _hit_solid(solids, solid, x, y, ray, hits, next_hit)
-            for entry in range(
-                tile_index.triangle_start[tile], tile_index.triangle_start[tile + 1]
-            ):
-                triangle = tile_index.triangle_indices[entry]
-                next_hit = first_hit + num_line_hits
-                if not is_rotated and is_beside(facets.bounds, triangle, x, y):
-                    continue
-                if not _may_cross(facets.corners, triangle, x, y, lines.axes, local_corners):
-                    continue
-                num_hits = hit_triangle(
-                    local_corners, 0, facets, triangle, x, y, NO_LIMITS, hits, next_hit, is_writing
-                )
-                if num_hits > 0:
-                    num_line_hits += 1
-                    if is_writing and is_rotated:
-                        # a triangle over two of the line's tiles is hit twice, so such hits
-                        # cannot say what is inside
-                        hits.closed[next_hit] = OPEN_SURFACE
-    return num_line_hits
+                for line in range(points.shape[0]):
+                    x = points[line, 0]
+                    y = points[line, 1]
+                    if is_beside(solids.bounds, solid, x, y):
+                        continue
+                    hit_index = next_hit[line] if is_writing else 0
+                    next_hit[line] += hit_solid(solids, solid, x, y, ray, hits, hit_index)
+            first_entry = tile_index.triangle_start[tile]
+            end_entry = tile_index.triangle_start[tile + 1]
+            _cast_at_triangles(
+                geometry.facets,
+                tile_index.triangle_indices[first_entry:end_entry],
+                lines,
+                local_corners,
+                hits,
+                next_hit,
+                is_writing,
+            )
+
+
+@subkernel(inline="always")
+def _end_of_same_tiles(tiles, first_line, end_line):
+    """Return the index past the last line of those that have the same tiles as the first one.
+
+    `tiles` is as in `Lines`; these lines follow each other from `first_line` on, before `end_line`.
+    """
+    line = first_line + 1
+    while (
+        line < end_line
+        and tiles[line, 0] == tiles[first_line, 0]
+        and tiles[line, 1] == tiles[first_line, 1]
+    ):
+        line += 1
+    return line
 
 
 @kernel(nogil=True)
@@ -631,20 +737,24 @@ def cast_lines(
             for line in range(end_line - first_line):
                 next_hit[line] = start[first_line + line] - start[first_line]
         if has_points:
-            for line_id in range(first_line, end_line):
-                hit_index = next_hit[line_id - first_line]
-                next_hit[line_id - first_line] += _cast_line(
+            line = first_line
+            while line < end_line:
+                end_same_tiles = _end_of_same_tiles(lines.tiles, line, end_line)
+                lines_of_tiles = Lines(
+                    lines.points[line:end_same_tiles], lines.tiles[line:end_same_tiles], lines.axes
+                )
+                _cast_at_points(
                     lattice,
                     geometry,
                     shape_index,
-                    lines,
-                    line_id,
+                    lines_of_tiles,
                     ray,
                     local_corners,
                     hits,
-                    hit_index,
+                    next_hit[line - first_line : end_same_tiles - first_line],
                     is_writing,
                 )
+                line = end_same_tiles
         else:
             _cast_tile_row(
                 lattice,

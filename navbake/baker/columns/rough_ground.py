@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.columns.columns import Columns, TiledShapes, cast_points
+from navbake.baker.columns.columns import Columns, TiledShapes, cast_points, tile_of
+from navbake.baker.columns.ground_kernels import GroundLines, raise_ground
 from navbake.baker.core.components import expand_ranges
 from navbake.baker.core.constants import CONVEX_SOLID
 from navbake.baker.core.limits import AgentLimits, make_agent_limits
@@ -40,7 +41,9 @@ MIN_VARIANCE_FRACTION = 0.02
 # A facet differs from the plane clearly if the cosine of their angle is at most this
 MAX_DIFFERENT_COSINE = np.cos(np.radians(10.0))
 # Lines that are cast together, which limits the memory that it takes
-LINES_PER_CHUNK = 1 << 20
+LINES_PER_CHUNK = 1 << 18
+# Lines over fewer tiles than this are not worth a call on another thread
+MIN_TILES_PER_CALL = 8
 
 
 def foot_radius(lattice: Lattice) -> float:
@@ -317,20 +320,75 @@ def _sample_ground(
         The heights of the ground relative to the hit, NaN where there is none, (n, samples) [m].
     """
     lattice = columns.lattice
+    num_samples = sample_offsets.shape[1]
     centers = lattice.positions(*np.divmod(cell_ids, lattice.width))
     points = (centers[:, None] + sample_offsets.T).reshape(-1, 2)
     rows, cols = lattice.rows_cols(points)
     is_inside = (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
     inside_indices = np.flatnonzero(is_inside)
     ground_heights = np.full(len(points), np.nan)
-    ray_hits = cast_points(
-        tiled_shapes, (rows * lattice.width + cols)[inside_indices], points[inside_indices]
+    ground_heights[inside_indices] = find_ground(
+        tiled_shapes,
+        (rows * lattice.width + cols)[inside_indices],
+        points[inside_indices],
+        columns.z[hit_indices][inside_indices // num_samples],
+        limits.max_step + LIMIT_SLACK,
     )
-    sample_of_ray_hit = np.repeat(inside_indices, np.diff(ray_hits.start))
-    relative_z = ray_hits.z - columns.z[hit_indices][sample_of_ray_hit // sample_offsets.shape[1]]
-    is_ground = (ray_hits.normal[:, 2] > 0.0) & (
-        np.abs(relative_z) <= limits.max_step + LIMIT_SLACK
-    )
-    # heights ascend along a line: the last assignment is that of the highest surface
-    ground_heights[sample_of_ray_hit[is_ground]] = relative_z[is_ground]
     return ground_heights.reshape(len(cell_ids), -1)
+
+
+def find_ground(
+    tiled_shapes: TiledShapes, cells: Int, points: Float, z: Float, max_rise: float
+) -> Float:
+    """Find the ground at points: the highest surface near a height that faces up.
+
+    The result is the same as that of the columns of `cast_points`, in less time.
+
+    Args:
+        tiled_shapes: the shapes on a lattice.
+        cells: id of the cell that holds each point, (n,).
+        points: x and y of the points, (n, 2) [m].
+        z: the height near which the ground of each point is, (n,) [m].
+        max_rise: how far ground is above or below this height at most [m].
+
+    Returns:
+        How far the ground is above the heights, NaN where there is none, (n,) [m].
+    """
+    lattice = tiled_shapes.lattice
+    tiles = tile_of(lattice, cells)
+    order = np.argsort(tiles * lattice.width * lattice.height + cells)
+    is_first_of_tile = np.diff(tiles[order], prepend=-1) > 0
+    lines = GroundLines(
+        points=points[order],
+        cells=cells[order],
+        z=z[order],
+        tiles=tiles[order][is_first_of_tile],
+        start=np.append(np.flatnonzero(is_first_of_tile), len(cells)),
+    )
+    rise_in_order = np.full(len(cells), -np.inf)
+    edge_rise = np.full(len(cells), -np.inf)
+    run_in_chunks(
+        raise_ground,
+        len(lines.tiles),
+        lattice,
+        tiled_shapes.geometry,
+        tiled_shapes.tile_index,
+        lines,
+        max_rise,
+        rise_in_order,
+        edge_rise,
+        min_chunk_size=MIN_TILES_PER_CALL,
+    )
+    rise = np.full(len(cells), np.nan)
+    is_ground = rise_in_order > -np.inf
+    rise[order[is_ground]] = rise_in_order[is_ground]
+    # a hit at an edge may be superfluous, which only the line's column tells
+    uncertain_lines = order[edge_rise > rise_in_order]
+    rise[uncertain_lines] = np.nan
+    hits = cast_points(tiled_shapes, cells[uncertain_lines], points[uncertain_lines])
+    line_of_hit = np.repeat(uncertain_lines, np.diff(hits.start))
+    rise_of_hit = hits.z - z[line_of_hit]
+    is_ground_hit = (hits.normal[:, 2] > 0.0) & (np.abs(rise_of_hit) <= max_rise)
+    # heights ascend along a line: the last assignment is that of the highest surface
+    rise[line_of_hit[is_ground_hit]] = rise_of_hit[is_ground_hit]
+    return rise

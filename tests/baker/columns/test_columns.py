@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from navbake.baker.columns.columns import Columns, cast_columns, cast_points, tile_shapes
+from navbake.baker.columns.rough_ground import find_ground
 from navbake.baker.scene.scene import Scene, load_scene
 from navbake.config.settings import parse_config
 from navbake.navgrid.lattice import Lattice
@@ -260,6 +261,29 @@ def test_lines_together_cross_what_each_crosses_by_itself(tmp_path: Path, seed: 
         for name in ("start", "z", "normal", "geom", "closed"):
             one, other = getattr(alone, name), getattr(together, name)
             np.testing.assert_array_equal(one, other, err_msg=name)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_ground_is_the_highest_hit_near_a_height_that_faces_up(tmp_path: Path, seed: int) -> None:
+    """At points anywhere, and at cells' centres, through which edges of the height field run."""
+    rng = np.random.default_rng(seed)
+    scene = load(tmp_path, aligned_xml(rng))
+    lattice = Lattice(-1.05, 1.05, 0.1, 21, 21)
+    tiled = tile_shapes(scene.shapes, lattice, 0.1)
+    cells = rng.integers(0, 21 * 21, 2000)
+    points = lattice.positions(*np.divmod(cells, 21))
+    points[::2] += rng.uniform(-0.05, 0.05, (1000, 2))
+    z = rng.uniform(-1.2, 0.5, 2000)
+    expected = np.full(2000, np.nan)
+    hits = cast_points(tiled, cells, points)
+    for line, (first, end) in enumerate(itertools.pairwise(hits.start)):
+        for hit in range(first, end):
+            if hits.normal[hit, 2] > 0 and abs(hits.z[hit] - z[line]) <= 0.3:
+                expected[line] = hits.z[hit] - z[line]
+    np.testing.assert_array_equal(find_ground(tiled, cells, points, z, 0.3), expected)
+    assert 100 < np.isnan(expected).sum() < 1900
+    with limit_threads(1):
+        np.testing.assert_array_equal(find_ground(tiled, cells, points, z, 0.3), expected)
 
 
 @pytest.mark.parametrize("seed", range(3))
