@@ -95,8 +95,9 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
             least=LEAST_CELLS,
         )
         # surfaces of this chunk come after those of earlier chunks
-        end_surface[cells] = num_surfaces + np.cumsum(num_surfaces_in_cell)
-        first_surface[cells] = end_surface[cells] - num_surfaces_in_cell
+        end_of_cells = num_surfaces + np.cumsum(num_surfaces_in_cell)
+        end_surface[cells] = end_of_cells
+        first_surface[cells] = end_of_cells - num_surfaces_in_cell
         num_surfaces += int(num_surfaces_in_cell.sum())
         arrays_by_chunk.append(row_arrays)
     z, geom, flags, normal = join_arrays(arrays_by_chunk)
