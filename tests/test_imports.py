@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -150,12 +151,21 @@ MODULES = find_modules(PACKAGE)
 
 
 def is_kernel_module(name: str) -> bool:
-    """Whether a module has compiled code: `kernel` or `subkernel` is imported there."""
-    found = imports(MODULES[name])
-    return not found.isdisjoint({"navbake.compiled.kernel", "navbake.compiled.subkernel"})
+    """Whether a module has compiled code: `kernel` or `subkernel` decorates a function there.
+
+    It is asked while tests are collected, so nothing is parsed for it.
+    """
+    text = MODULES[name].read_text(encoding="utf-8")
+    return re.search(r"^ *@(sub)?kernel\b", text, re.MULTILINE) is not None
 
 
 KERNELS = {name for name in MODULES if is_kernel_module(name)}
+
+
+def test_modules_with_kernels_are_those_that_import_their_decorators():
+    decorators = {"navbake.compiled.kernel", "navbake.compiled.subkernel"}
+    importing = {name for name, path in MODULES.items() if imports(path) & decorators}
+    assert importing == KERNELS
 
 
 def test_no_circle_of_files():
@@ -198,25 +208,30 @@ def test_only_calls_stand_where_imports_go_upwards(name):
 # the folders of the baker, from below: none imports one that stands later
 BAKER_ORDER = ("core", "geometry", "readers", "columns", "scene", "floors", "occupancy")
 BAKER_ORDER += ("occupants", "rooms", "doors", "links", "bake", "live", "voxels")
-FOLDERS = draw_imports.import_graph()
 
 
-def test_no_folder_of_the_baker_imports_one_above_it():
-    folders = {name.removeprefix("baker/") for name in FOLDERS if name.startswith("baker/")}
+@pytest.fixture(scope="module")
+def folder_graph():
+    """Which folders each folder of the package imports."""
+    return draw_imports.import_graph()
+
+
+def test_no_folder_of_the_baker_imports_one_above_it(folder_graph):
+    folders = {name.removeprefix("baker/") for name in folder_graph if name.startswith("baker/")}
     assert folders == set(BAKER_ORDER)
     for number, folder in enumerate(BAKER_ORDER):
         above = {f"baker/{name}" for name in BAKER_ORDER[number + 1 :]}
-        assert not FOLDERS[f"baker/{folder}"] & above, folder
+        assert not folder_graph[f"baker/{folder}"] & above, folder
 
 
-def test_no_folders_import_each_other_in_a_circle():
-    rows = draw_imports.place_in_rows(FOLDERS)
+def test_no_folders_import_each_other_in_a_circle(folder_graph):
+    rows = draw_imports.place_in_rows(folder_graph)
     assert len(rows) > 25
 
 
-def test_the_picture_of_the_imports_is_up_to_date():
+def test_the_picture_of_the_imports_is_up_to_date(folder_graph):
     """If it fails: run `python scripts/draw_imports.py`."""
-    picture = draw_imports.draw(FOLDERS)
+    picture = draw_imports.draw(folder_graph)
     assert draw_imports.PICTURE.read_text(encoding="utf-8") == picture
 
 
