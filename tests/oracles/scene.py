@@ -10,6 +10,7 @@ from oracles.prisms import FREE, OCCUPIED, UNKNOWN, Prisms, body_meets_prisms
 from oracles.solids import Body, Capsule, Cylinder, Ellipsoid, Float, Polytope, rotation
 from oracles.surfaces import Surface, surface_meets_prisms
 
+BESIDE_BOX = 1e-4  # a line farther than this beside a box misses it, whatever is rounded [m]
 NUDGE = 2e-6  # a line this near to a rim may be on either side of it [m]
 NUDGES = [(NUDGE * np.cos(turn), NUDGE * np.sin(turn)) for turn in np.arange(8) * np.pi / 4 + 0.1]
 
@@ -126,6 +127,32 @@ def cross_part(part: Part, x: Float, y: Float) -> PartColumns:
     """Cross a part with the vertical lines at x, y."""
     if isinstance(part, HalfSpace):
         return _cross_half_space(part, x, y)
+    near = np.flatnonzero(_is_over(part, x, y))
+    columns = _cross_near(part, x[near], y[near])
+    heights = (columns.z, columns.up, columns.low, columns.high)
+    return PartColumns(*(_spread(each, near, len(x)) for each in heights), columns.is_solid)
+
+
+def _is_over(part: Body | Surface, x: Float, y: Float) -> np.ndarray:
+    """The lines through the box round a part, or close beside it: all others miss the part."""
+    ways = np.array([[1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0]])
+    if isinstance(part, Surface):
+        reach = (part.corners.reshape(-1, 3) @ ways.T).max(axis=0, initial=-np.inf)
+    else:
+        reach = part.support(ways)
+    high_x, high_y, low_x, low_y = reach + BESIDE_BOX
+    over: np.ndarray = (x <= high_x) & (y <= high_y) & (-x <= low_x) & (-y <= low_y)
+    return over
+
+
+def _spread(heights: Float, lines: np.ndarray, num: int) -> Float:
+    """Heights at some of the lines as heights at all lines, NaN at the others."""
+    spread = np.full((len(heights), num), np.nan)
+    spread[:, lines] = heights
+    return spread
+
+
+def _cross_near(part: Body | Surface, x: Float, y: Float) -> PartColumns:
     if isinstance(part, Surface):
         return _cross_surface(part, x, y)
     line = part.cross(x, y)

@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,29 +135,34 @@ class Truth:
 
     def _is_standable(self, k: int) -> Bool:
         """Faces up, lies inside no solid, and has headroom; the first of several at one height."""
-        z = self.top[k]
-        valid = ~np.isnan(z)
+        cells = np.flatnonzero(~np.isnan(self.top[k]))
+        top = self.top[:, cells]
+        z = top[k]
+        valid = np.ones(len(z), dtype=bool)
         covered = np.zeros(len(z), dtype=bool)
         unsure = np.zeros(len(z), dtype=bool)
         with np.errstate(invalid="ignore"):
             for column in self._columns:
-                for low, high in zip(column.low, column.high, strict=True):
+                for low, high in zip(column.low[:, cells], column.high[:, cells], strict=True):
                     begins = low - z
                     if not column.is_solid:
                         unsure |= (np.abs(begins) < 3 * ONE) & (high > z + SURE)
                     covered |= (begins <= ONE) & (high > z + ONE)
-            above = np.where(self._all_z > z + ONE, self._all_z, np.inf).min(axis=0, initial=np.inf)
+            all_z = self._all_z[:, cells]
+            above = np.where(all_z > z + ONE, all_z, np.inf).min(axis=0, initial=np.inf)
             gap = above - z
             low_head = gap < self.rules.height - UNSURE
             unsure |= (gap < self.rules.height - SURE) & ~low_head
-            for other in range(len(self.top)):
-                apart = np.abs(self.top[other] - z)
+            for other in range(len(top)):
+                apart = np.abs(top[other] - z)
                 unsure |= (apart > SURE) & (apart < 2 * ONE)
                 if other < k:
                     valid &= ~(apart <= SURE)
-        answer = valid & ~covered & ~low_head
-        if (unsure & answer).any():
+        standable = valid & ~covered & ~low_head
+        if (unsure & standable).any():
             raise UnsureError("surfaces almost touch")
+        answer = np.zeros(self.top.shape[1], dtype=bool)
+        answer[cells] = standable
         return answer
 
     def _count_sheets(self) -> Bool:
@@ -168,13 +174,16 @@ class Truth:
         height = self.top.reshape(-1, rows, cols)
         rises = self._rise.reshape(-1, rows, cols)
         pairs = []
-        for a in range(len(grid)):
-            for b in range(len(grid)):
+        layers = [int(k) for k in np.flatnonzero(self.standable.any(axis=1))]
+        for a in layers:
+            for b in layers:
                 for here, there in (
                     (np.s_[:, :-1], np.s_[:, 1:]),
                     (np.s_[:-1, :], np.s_[1:, :]),
                 ):
                     both = (grid[a][here] >= 0) & (grid[b][there] >= 0)
+                    if not both.any():
+                        continue
                     step = np.abs(height[a][here] - height[b][there])
                     if (
                         both & (step > self.rules.step + SURE) & (step < self.rules.step + UNSURE)
@@ -228,21 +237,29 @@ class Truth:
         one level, see `place_column`; unsure where it matters which of them are stairs.
         """
         levels = [np.full(len(self.x), np.nan) for _ in grounds]
-        for cell in np.flatnonzero(self.counted.any(axis=0)):
-            heights = sorted(self.top[self.counted[:, cell], cell])
-            homes = [
-                max([k for k, ground in enumerate(grounds) if ground <= z + tolerance], default=0)
-                for z in heights
-            ]
-            below = UNSURE if tolerance > SURE else 0.0
-            lows = [ground - tolerance for ground in grounds]
-            if any(-below < low - z < UNSURE for z in heights for low in lows):
+        heights = np.where(self.counted, self.top, np.nan)
+        below = UNSURE if tolerance > SURE else 0.0
+        home = np.zeros(heights.shape, dtype=int)
+        for k, ground in enumerate(grounds):
+            home[ground <= heights + tolerance] = k
+            under = (ground - tolerance) - heights
+            if ((under > -below) & (under < UNSURE)).any():
                 raise UnsureError("a surface just below a ground")
-            stairs = itertools.product((False, True), repeat=len(homes))
-            places = {tuple(place_column(homes, is_stair, len(grounds))) for is_stair in stairs}
+        num_layers = self.counted.sum(axis=0)
+        for layer, counted in enumerate(self.counted):
+            for k, level in enumerate(levels):
+                alone = counted & (num_layers == 1) & (home[layer] == k)
+                level[alone] = heights[layer, alone]
+        for cell in np.flatnonzero(num_layers > 1):
+            layers = np.flatnonzero(self.counted[:, cell])
+            layers = layers[np.argsort(heights[layers, cell], kind="stable")]
+            homes = tuple(home[layers, cell].tolist())
+            places = place_in_all_ways(homes, len(grounds))
             if len(places) > 1:
                 raise UnsureError("stairs would be placed otherwise")
-            for z, level in zip(heights, places.pop(), strict=True):
+            (place,) = places
+            for layer, level in zip(layers, place, strict=True):
+                z = heights[layer, cell]
                 assert level >= 0, f"no level for the surface at {z} m of cell {cell}"
                 levels[level][cell] = z
         return levels
@@ -259,7 +276,8 @@ class Truth:
         """
         floor = levels[number].copy()
         candidate = np.concatenate([self.top, self._low_bumps()])
-        counted_z = np.where(self.counted, self.top, np.nan)
+        layers = np.flatnonzero(self.counted.any(axis=1))
+        counted_z = np.where(self.counted[layers], self.top[layers], np.nan)
         with np.errstate(invalid="ignore"):
             for k in range(len(candidate)):
                 candidate[k][(np.abs(counted_z - candidate[k]) <= ONE).any(axis=0)] = np.nan
@@ -279,7 +297,8 @@ class Truth:
     def _low_bumps(self) -> Float:
         """Surfaces that face up too steeply, at most a step above one that doesn't."""
         bumps = np.full_like(self._steep, np.nan)
-        for k, z in enumerate(self._steep):
+        for k in np.flatnonzero(~np.isnan(self._steep).all(axis=1)):
+            z = self._steep[k]
             with np.errstate(invalid="ignore"):
                 below = np.where(self.top <= z, self.top, -np.inf).max(axis=0)
                 rise = z - below - self.rules.step
@@ -291,7 +310,10 @@ class Truth:
     def _next_ring(self, floor: Float, candidate: Float) -> dict[int, float]:
         rows, cols = self.shape
         ring = {}
-        for cell in np.flatnonzero(np.isnan(floor) & ~np.isnan(candidate).all(axis=0)):
+        padded = np.pad(~np.isnan(floor.reshape(rows, cols)), 1)
+        is_beside = padded[:-2, 1:-1] | padded[2:, 1:-1] | padded[1:-1, :-2] | padded[1:-1, 2:]
+        is_open = np.isnan(floor) & is_beside.ravel()
+        for cell in np.flatnonzero(is_open & ~np.isnan(candidate).all(axis=0)):
             row, col = divmod(int(cell), cols)
             beside = [
                 floor[r * cols + c]
@@ -355,6 +377,13 @@ class Truth:
         for way, limit in zip(ways, reach, strict=True):
             near &= prisms.support(np.tile(-way, (len(near), 1))) + limit > 0
         return near
+
+
+@cache
+def place_in_all_ways(homes: tuple[int, ...], num_levels: int) -> frozenset[tuple[int, ...]]:
+    """What `place_column` makes of a column, whichever of its surfaces are stairs."""
+    stairs = itertools.product((False, True), repeat=len(homes))
+    return frozenset(tuple(place_column([*homes], each, num_levels)) for each in stairs)
 
 
 def place_column(homes: list[int], is_stair: Sequence[bool], num_levels: int) -> list[int]:
