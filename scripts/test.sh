@@ -20,8 +20,9 @@ ruff check
 ruff format --check
 mypy
 navbake warm-up # compiled once, before several processes need it
-# -rs lists what was skipped, and why; the tests of a file stay in one process
-python -m pytest -rs --numprocesses auto --maxprocesses 4 --dist loadfile "$@"
+# -rs lists what was skipped, and why; the tests of a file stay in one process, and the files that
+# take long come first, see tests/conftest.py: xdist would put those with few tests last
+python -m pytest -rs --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder "$@"
 if [ -n "$missing" ]; then
     echo "$0: skipped the tests that need $missing" >&2
     echo "$0: jax and torch come with: .venv/bin/pip install -e '.[tensors-test]'" >&2

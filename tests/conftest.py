@@ -29,6 +29,22 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 READER_FOLDERS = ("formats", "baker/readers", "voxels", "episodes")
 
+# The files that take longest, each of which stays in one process: where tests run in several, these
+# come first, so that no process waits in the end for one that began with such a file late.
+LONG_FILES = (
+    "batch/test_cluster.py",
+    "baker/bake/test_ground_truth.py",
+    "cli/test_batch.py",
+    "batch/test_run.py",
+    "test_starts.py",
+    "runtime/test_stand.py",
+    "baker/bake/test_memory.py",
+    "baker/bake/test_structure.py",
+    "baker/bake/test_bad_input.py",
+    "baker/bake/test_invariance.py",
+    "cli/test_ask.py",
+)
+
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
@@ -40,7 +56,10 @@ def pytest_collection():
         gc.enable()
 
 
-def pytest_collection_modifyitems(items):
+def pytest_collection_modifyitems(config, items):
+    if hasattr(config, "workerinput"):  # one of several processes
+        places = {Path(__file__).parent / name: place for place, name in enumerate(LONG_FILES)}
+        items.sort(key=lambda item: places.get(item.path, len(places)))
     folders = [Path(__file__).parent / name for name in READER_FOLDERS]
     for item in items:
         if any(folder in item.path.parents for folder in folders):
