@@ -30,8 +30,9 @@ FOOT_RADIUS = 0.1
 # whose radii are these fractions of the foot's radius
 NUM_DIRECTIONS = 8
 SAMPLED_RADIUS_FRACTIONS = (0.5, 1.0)
-# Four points decide first whether the ground is clearly too steep: if the plane through them rises
-# more than this many times as much as the agent's steepest slope, no other points are sampled
+# Four of these points, on the outer circle, decide first whether the ground is clearly too steep:
+# if the plane through them rises more than this many times as much as the agent's steepest slope,
+# the other points are not sampled
 CLEARLY_STEEP_FACTOR = 1.5
 # Bumps are at most this fraction of a step above or below the plane through the ground
 MAX_BUMP_FRACTION = 1.0 / 3.0
@@ -91,17 +92,21 @@ def replace_rough_ground_normals(
     if not len(hit_indices):
         return columns
     normal = columns.normal.copy()
+    radius = foot_radius(columns.lattice)
     num_samples = NUM_DIRECTIONS * len(SAMPLED_RADIUS_FRACTIONS)
     for first_hit in range(0, len(hit_indices), LINES_PER_CHUNK // num_samples):
         chunk_cells = cell_ids[first_hit : first_hit + LINES_PER_CHUNK // num_samples]
         chunk_hits = hit_indices[first_hit : first_hit + LINES_PER_CHUNK // num_samples]
-        is_steep = _mark_clearly_steep(columns, tiled_shapes, limits, chunk_cells, chunk_hits)
+        axis_heights = _sample_ground(
+            columns, tiled_shapes, limits, chunk_cells, chunk_hits, circle_offsets(4, radius)
+        )
+        is_steep = _mark_clearly_steep(axis_heights, radius, limits)
         chunk_cells = chunk_cells[~is_steep]
         chunk_hits = chunk_hits[~is_steep]
         if not len(chunk_hits):
             continue
         plane_normal, is_ground = _mark_flat_ground(
-            columns, tiled_shapes, limits, chunk_cells, chunk_hits
+            columns, tiled_shapes, limits, chunk_cells, chunk_hits, axis_heights[~is_steep]
         )
         normal[chunk_hits[is_ground]] = plane_normal[is_ground]
     return replace(columns, hits=columns.hits._replace(normal=normal))
@@ -143,28 +148,17 @@ def _find_steep_facets(
     return cell_ids[~lacks_headroom], hit_indices[~lacks_headroom]
 
 
-def _mark_clearly_steep(
-    columns: Columns,
-    tiled_shapes: TiledShapes,
-    limits: AgentLimits,
-    cell_ids: Int,
-    hit_indices: Int,
-) -> Bool:
+def _mark_clearly_steep(axis_heights: Float, radius: float, limits: AgentLimits) -> Bool:
     """Mark the hits around which the ground rises much more than the agent's slope.
 
     Args:
-        columns: the columns.
-        tiled_shapes: the shapes.
+        axis_heights: heights of the ground relative to each hit, east, north, west and south of
+            it, NaN for none, (n, 4) [m].
+        radius: how far from the hit these are [m].
         limits: the agent's limits.
-        cell_ids: the cell of each hit, (n,).
-        hit_indices: indices of hits, (n,).
     """
-    sample_offsets = circle_offsets(4, foot_radius(columns.lattice))
-    east, north, west, south = _sample_ground(
-        columns, tiled_shapes, limits, cell_ids, hit_indices, sample_offsets
-    ).T
-    distance = 2.0 * foot_radius(columns.lattice)
-    slope = np.hypot(east - west, north - south) / distance  # NaN where a sample is missing
+    east, north, west, south = axis_heights.T
+    slope = np.hypot(east - west, north - south) / (2.0 * radius)  # NaN where a sample is missing
     max_slope = math.sqrt(1.0 / limits.min_normal_z**2 - 1.0)
     is_steep: Bool = slope > CLEARLY_STEEP_FACTOR * max_slope
     return is_steep
@@ -200,6 +194,7 @@ def _mark_flat_ground(
     limits: AgentLimits,
     cell_ids: Int,
     hit_indices: Int,
+    axis_heights: Float,
 ) -> tuple[Float, Bool]:
     """Fit planes to the ground around hits, and mark the planes that are flat enough.
 
@@ -214,6 +209,8 @@ def _mark_flat_ground(
         limits: the agent's limits.
         cell_ids: the cell of each hit, (n,).
         hit_indices: indices of hits, (n,).
+        axis_heights: heights of the ground relative to each hit, `foot_radius` east, north, west
+            and south of it, NaN for none, (n, 4) [m].
 
     Returns:
         The unit normals of the planes, (n, 3), and which of the planes are ground that the agent
@@ -227,8 +224,13 @@ def _mark_flat_ground(
         ],
         axis=1,
     )
-    sample_heights = _sample_ground(
-        columns, tiled_shapes, limits, cell_ids, hit_indices, sample_offsets
+    # every other point of the outer circle is on an axis
+    is_on_axis = np.zeros(sample_offsets.shape[1], dtype=np.bool_)
+    is_on_axis[-NUM_DIRECTIONS::2] = True
+    sample_heights = np.empty((len(hit_indices), len(is_on_axis)))
+    sample_heights[:, is_on_axis] = axis_heights
+    sample_heights[:, ~is_on_axis] = _sample_ground(
+        columns, tiled_shapes, limits, cell_ids, hit_indices, sample_offsets[:, ~is_on_axis]
     )
     directions_per_half_turn = NUM_DIRECTIONS // 2
     opposite_heights = np.roll(
