@@ -447,6 +447,9 @@ def test_settings_that_are_missing_are_named_before_scenes_can_be_read():
 # numba loads scipy.linalg with its first kernel
 SCIPY = ("scipy.ndimage", "scipy.sparse", "scipy.spatial")
 
+# a sample with meshes of furniture, whose tops are looked at
+APARTMENT = PACKAGE.parent / "configs/scenes/apartment.xml"
+
 # command -> what it doesn't load; `house` and `cup` are scenes without and with a mesh
 LIGHT_COMMANDS = {
     "info house.grid.json": ("numba", "scipy", "mujoco", "trimesh", "matplotlib", "PIL"),
@@ -455,6 +458,7 @@ LIGHT_COMMANDS = {
     "bake house.xml -o again.grid.json": ("trimesh", *SCIPY, "matplotlib", "PIL", "glfw", "rich"),
     "geoms house.xml": ("trimesh", *SCIPY, "matplotlib", "PIL", "glfw"),
     "bake cup.xml -o again.grid.json": ("trimesh", *SCIPY, "matplotlib", "PIL", "glfw", "rich"),
+    f"bake {APARTMENT} -o flat.grid.json": ("trimesh", *SCIPY, "matplotlib", "PIL", "glfw", "rich"),
 }
 
 

@@ -27,7 +27,7 @@ from navbake.types import Bool, Float, Int
 if TYPE_CHECKING:
     import mujoco
 
-ndimage = lazy("scipy.ndimage")
+ndimage = lazy("scipy.ndimage")  # only for a wide and long top
 
 # The distance between the vertical lines on which room is searched for; larger for large meshes [m]
 LINE_SPACING = 0.1
@@ -327,8 +327,12 @@ def _mark_tops(
     is_top &= lowest_of_surface > bottom + limits.max_step + LIMIT_SLACK
     is_top[0] = False  # cells of no surface
     for surface in np.flatnonzero(is_top).tolist():
+        is_in_surface = padded_surfaces == surface
+        rows, cols = np.nonzero(is_in_surface)
+        if (min(np.ptp(rows), np.ptp(cols)) + 1) * lattice.cell_size < MAX_TOP_WIDTH:
+            continue  # it is nowhere wider than the box around it, as the tops of most furniture
         # an edge of the surface is half a cell from the centre of its outermost cell
-        distances = ndimage.distance_transform_edt(padded_surfaces == surface)
+        distances = ndimage.distance_transform_edt(is_in_surface)
         half_width = (distances.max() - 0.5) * lattice.cell_size
         is_top[surface] = 2 * half_width < MAX_TOP_WIDTH
     is_top_cell: Bool = is_top[surface_of_cell.ravel()]
