@@ -32,6 +32,7 @@ from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import rounded
 from navbake.navgrid.links import Link
 from navbake.navgrid.rooms import Door
+from navbake.navgrid.user_data import UserData
 from navbake.routes.graph import LiftCar
 from navbake.routes.lift_cars import (
     CarPlan,
@@ -240,9 +241,10 @@ def _find_wall_cells(grid: NavGrid, level_number: int, lifts: Iterable[Link]) ->
         The mask, shape (height, width).
     """
     level = grid.levels[level_number]
+    cells, entry_indices, entries = UserData.of(level.user_data).shared_entries()
+    has_wall = np.array([bool(entry.get("walls")) for entry in entries], dtype=np.bool_)
     names_wall = np.zeros(level.shape, dtype=np.bool_)
-    for cell_id, cell_data in level.user_data.items():
-        names_wall.flat[cell_id] = bool(cell_data.get("walls"))
+    names_wall.flat[cells] = has_wall[entry_indices]
     is_wall: Bool = level.solid != 0
     is_wall &= names_wall if names_wall.any() else ~np.isnan(level.floor)
     is_wall &= ~mark_door_cells(grid, level_number, in_current_state=False)

@@ -22,7 +22,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 
 from oracles.flights import find_costs, make_large_graph
 
-SCENES = ("house", "warehouse", "tower")
+SCENES = {"house": 0.05, "warehouse": 0.03, "tower": 0.1}
+"""Where flights are measured, and what they may take, in searches of scipy to all voxels."""
 RES = 0.1  # [m]
 RADIUS = 0.25  # of the ball [m]
 NUM_FLIGHTS = 8
@@ -33,7 +34,7 @@ Voxel = tuple[int, int, int]
 def make_rows() -> dict[str, Callable[[], Row]]:
     """The rows by name, each made when it is asked for."""
     rows: dict[str, Callable[[], Row]] = {
-        f"flights-{name}": partial(flights_row, name) for name in SCENES
+        f"flights-{name}": partial(flights_row, name, ratio) for name, ratio in SCENES.items()
     }
     return {**rows, "flight-octree": octree_row}
 
@@ -59,7 +60,7 @@ def to_voxel(finder: VoxelFinder, number: np.int64) -> Voxel:
     return int(x), int(y), int(z)
 
 
-def flights_row(name: str) -> Row:
+def flights_row(name: str, ratio: float) -> Row:
     """Flights in a scene, whose costs must be scipy's, next to scipy and dijkstra3d."""
     finder = make_finder(name)
     pairs = draw_pairs(finder, NUM_FLIGHTS)
@@ -84,7 +85,7 @@ def flights_row(name: str) -> Row:
     try:
         import dijkstra3d
     except ImportError:
-        return Row(job, [scipy_job], missing=why_missing("dijkstra3d"))
+        return Row(job, [scipy_job], ratio=ratio, missing=why_missing("dijkstra3d"))
     is_free = np.asfortranarray(finder.free)
     voxel_pairs = [(to_voxel(finder, start), to_voxel(finder, goal)) for start, goal in pairs]
 
@@ -92,7 +93,8 @@ def flights_row(name: str) -> Row:
         for start, goal in voxel_pairs:
             dijkstra3d.binary_dijkstra(is_free, start, goal, connectivity=26)
 
-    return Row(job, [scipy_job, here("dijkstra3d, free voxels given", search_volume)])
+    peers = [scipy_job, here("dijkstra3d, free voxels given", search_volume)]
+    return Row(job, peers, ratio=ratio)
 
 
 def octree_row() -> Row:
@@ -110,7 +112,7 @@ def octree_row() -> Row:
         return here("a loop in Python over octomap-python", search)
 
     job = here("a flight, house, voxels of 0.1 m", lambda: finder.find_path(begin, end))
-    return beside(job, "octomap", peer)
+    return beside(job, "octomap", peer, ratio=0.02)
 
 
 def search_octree(

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import mujoco
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from benchmarks.measure import Job, Row, beside, here
-from benchmarks.scenes import APARTMENT
+from benchmarks.scenes import APARTMENT, SAMPLES
 from navbake.baker.scene.scene import load_scene
 from navbake.baker.voxels.voxelize import Voxelizer
 from navbake.config.settings import parse_config
@@ -54,8 +57,8 @@ def make_rows(folder: Path) -> dict[str, Callable[[], Row]]:
         "voxels": lambda: fill_row(blobs()),
         "voxels-surface": lambda: surface_row(blobs()),
         "voxels-ids": lambda: ids_row(blobs()),
-        "octree-scattered": lambda: octree_row(scattered_million(blobs()), "scattered"),
-        "octree-solid": lambda: octree_row(solid_million(), "solid"),
+        "octree-scattered": lambda: octree_row(scattered_million(blobs()), "scattered", 0.35),
+        "octree-solid": lambda: octree_row(solid_million(), "solid", 0.02),
         "octree-free": lambda: free_row(solid_million()),
         "binvox": lambda: Row(
             here("17.2 M voxels, .binvox", partial(encode_binvox, scattered_million(blobs())))
@@ -75,7 +78,11 @@ def fill_row(blobs: Blobs) -> Row:
         return here("pyvista, voxels' middles only", run)
 
     job = here("17.2 M voxels, solid", lambda: blobs.voxelizer.fill(PLACE))
-    return beside(job, "pyvista", peer, limit=1.0)
+    is_occupied = blobs.voxelizer.fill(PLACE).values != 0
+    fill_holes = partial(ndimage.binary_fill_holes, is_occupied)
+    row = beside(job, "pyvista", peer)
+    peers = [here("scipy binary_fill_holes of the result", fill_holes), *row.peers]
+    return replace(row, peers=peers, ratio=1.0)
 
 
 def surface_row(blobs: Blobs) -> Row:
@@ -99,7 +106,7 @@ def ids_row(blobs: Blobs) -> Row:
     return Row(job, [here("without IDs", lambda: fill(PLACE))])
 
 
-def octree_row(voxels: VoxelGrid, name: str) -> Row:
+def octree_row(voxels: VoxelGrid, name: str, ratio: float) -> Row:
     job = here(f"a million voxels, {name}, .bt", lambda: encode_octomap(voxels, "bt"))
 
     def peer(octomap: Any) -> Job:
@@ -113,7 +120,7 @@ def octree_row(voxels: VoxelGrid, name: str) -> Row:
 
         return here("octomap-python, updateNodes", build)
 
-    return beside(job, "octomap", peer, limit=0.8)
+    return beside(job, "octomap", peer, ratio=ratio)
 
 
 def free_row(voxels: VoxelGrid) -> Row:
@@ -129,7 +136,7 @@ def binvox_row(voxels: VoxelGrid) -> Row:
 
 
 def robot_row() -> Row:
-    """Grids round a robot at twenty places, asked for: ten a second."""
+    """Grids round a robot at twenty places, next to boxes round all geoms, drawn by numpy."""
     voxelizer = Voxelizer(str(APARTMENT))
     rng = np.random.default_rng(0)
     centers = rng.uniform([-4, -3, 0.5], [4, 3, 1.5], (20, 3))
@@ -140,8 +147,39 @@ def robot_row() -> Row:
                 voxelizer.set_pose(keyframe=("doors_open", "doors_closed")[number % 2])
             voxelizer.create(center, (100, 100, 100), res=RES)
 
+    model = mujoco.MjModel.from_xml_path(str(SAMPLES["apartment"]))
+    data = mujoco.MjData(model)
+
+    def draw_boxes() -> None:
+        for number, center in enumerate(centers):
+            mujoco.mj_resetDataKeyframe(model, data, number % model.nkey)
+            mujoco.mj_forward(model, data)
+            fill_boxes(model, data, center)
+
     job = here("20 grids of 100³ round a robot, posed", lambda: go_round(True))
-    return Row(job, [here("without another pose", lambda: go_round(False))], limit=2.0)
+    peers = [
+        here("numpy, boxes round the geoms alone", draw_boxes),
+        here("without another pose", lambda: go_round(False)),
+    ]
+    return Row(job, peers, ratio=16.0)
+
+
+def fill_boxes(
+    model: mujoco.MjModel, data: mujoco.MjData, center: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Mark the voxels in the boxes round all geoms, in a grid of 100³ voxels round a place."""
+    is_filled = np.zeros((100, 100, 100), dtype=np.bool_)
+    rotation = np.abs(data.geom_xmat.reshape(-1, 3, 3))
+    middle = data.geom_xpos + np.einsum(
+        "gij,gj->gi", data.geom_xmat.reshape(-1, 3, 3), model.geom_aabb[:, :3]
+    )
+    reach = np.einsum("gij,gj->gi", rotation, model.geom_aabb[:, 3:])
+    origin = center - 50 * RES
+    first = np.clip((middle - reach - origin) / RES, 0, 100).astype(int)
+    last = np.clip(np.ceil((middle + reach - origin) / RES), 0, 100).astype(int)
+    for (x0, y0, z0), (x1, y1, z1) in zip(first, last, strict=True):
+        is_filled[x0:x1, y0:y1, z0:z1] = True
+    return is_filled
 
 
 def scattered_million(blobs: Blobs) -> VoxelGrid:
