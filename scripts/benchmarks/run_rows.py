@@ -67,7 +67,7 @@ def make_rows(scenes: Scenes) -> dict[str, Callable[[], Row]]:
         "routes": routes_row,
         "building": building_row,
         "episodes": partial(episodes_row, sampler="uniform", ratio=0.45),
-        "episodes-habitat": partial(episodes_row, sampler="habitat", ratio=0.8),
+        "episodes-habitat": partial(episodes_row, sampler="habitat", ratio=0.55),
         "tensors": tensors_row,
         "tensor-heights": lambda house: heights_row(house, scenes.main),
     }
