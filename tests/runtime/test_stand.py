@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from fractions import Fraction
+from functools import cache
 
 import numpy as np
 import pytest
@@ -125,16 +126,20 @@ def random_map(seed):
 # ---------------------------------------------------------------- brute force
 
 
-def find_crossing(line, row, col) -> tuple[Fraction, Fraction]:
-    """The shares of a line at which it enters a cell and leaves it; its ends are middles."""
+@cache
+def find_crossing(end, cell) -> tuple[Fraction, Fraction]:
+    """The shares of a line at which it enters a cell and leaves it.
+
+    The line begins in the middle of cell 0, 0 and ends in that of `end`.
+    """
     low, high = Fraction(0), Fraction(1)
-    for begin, end, cell in zip(*line, (row, col), strict=True):
-        sides = [Fraction(2 * cell - 1, 2), Fraction(2 * cell + 1, 2)]
-        if begin == end:
-            if not sides[0] < begin < sides[1]:
+    for length, place in zip(end, cell, strict=True):
+        sides = [Fraction(2 * place - 1, 2), Fraction(2 * place + 1, 2)]
+        if length == 0:
+            if not sides[0] < 0 < sides[1]:
                 return Fraction(0), Fraction(0)
             continue
-        inside = sorted((side - begin) / (end - begin) for side in sides)
+        inside = sorted(side / length for side in sides)
         low, high = max(low, inside[0]), min(high, inside[1])
     return low, high
 
@@ -185,7 +190,7 @@ def is_in_sight(level, line, name, aims, eye) -> bool:
     (row_0, col_0), (row_1, col_1) = line
     for row in range(min(row_0, row_1), max(row_0, row_1) + 1):
         for col in range(min(col_0, col_1), max(col_0, col_1) + 1):
-            low, high = find_crossing(line, row, col)
+            low, high = find_crossing((row_1 - row_0, col_1 - col_0), (row - row_0, col - col_0))
             heights = sorted([height_at(low), height_at(high)])
             is_crossed = (row, col) != (row_0, col_0) and low < high
             if is_crossed and hides(level, (row, col), *heights, name, aims):
@@ -213,12 +218,14 @@ def find_by_brute_force(level, name, reach, footprint, facing, sight, height=Non
             if not {*names[cell].get("walls", []), *names[cell].get("doors", [])} - {name}
         ] or own
 
+    @cache
     def sides_of(cell):
         """x and y of the cell's square, cut to the box, as seen from the origin."""
         x, y = cell[1] * CELL, (level.height - 1 - cell[0]) * CELL
         low, high = [x, y], [x + CELL, y + CELL]
         if box:
-            low, high = np.maximum(low, box[:2]), np.minimum(high, box[3:5])
+            low = [max(side, limit) for side, limit in zip(low, box[:2], strict=True)]
+            high = [min(side, limit) for side, limit in zip(high, box[3:5], strict=True)]
         return low, high
 
     def measure(base, cell):
@@ -240,12 +247,13 @@ def find_by_brute_force(level, name, reach, footprint, facing, sight, height=Non
     for base in map(tuple, np.argwhere(level.free).tolist()):
         if min(measure(base, cell)[0] for cell in own) < reach[0] - 1e-9:
             continue
-        seen = [
-            measure(base, aim)[1:]
-            for aim in aims
-            if measure(base, aim)[1] <= reach[1] + 1e-9
-            and (not sight or is_in_sight(level, (base, aim), name, aims, eye))
-        ]
+        seen = []
+        for aim in aims:
+            _, farthest, middle = measure(base, aim)
+            if farthest <= reach[1] + 1e-9 and (
+                not sight or is_in_sight(level, (base, aim), name, aims, eye)
+            ):
+                seen.append((farthest, middle))
         if not seen:
             continue
         # of squares at one distance, the first counts
