@@ -207,7 +207,7 @@ def thousand_row(house: House) -> Row:
     level = finder.grid.levels[0]
     rows, cols = level.lattice.rows_cols(np.array([goal for _, goal in pairs]))
     peer = search_job(step_graph(finder), rows * level.width + cols)
-    return Row(job, [peer], ratio=0.5)
+    return Row(job, [peer], ratio=0.65)
 
 
 def scalar_row(house: House, name: str) -> Row:

@@ -161,7 +161,7 @@ def robot_row() -> Row:
         here("numpy, boxes round the geoms alone", draw_boxes),
         here("without another pose", lambda: go_round(False)),
     ]
-    return Row(job, peers, ratio=16.0)
+    return Row(job, peers, ratio=20.0)
 
 
 def fill_boxes(
