@@ -14,7 +14,6 @@ import numpy as np
 
 from navbake.baker.columns.columns import Columns, TiledShapes, cast_points, tile_of
 from navbake.baker.columns.ground_kernels import GroundLines, raise_ground
-from navbake.baker.core.components import expand_ranges
 from navbake.baker.core.constants import CONVEX_SOLID
 from navbake.baker.core.limits import AgentLimits, make_agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
@@ -125,20 +124,18 @@ def _find_steep_facets(
     Returns:
         The cells of the hits, (n,), and the indices of the hits, (n,).
     """
-    is_steep = columns.hits.closed != CONVEX_SOLID
-    if is_steep.any():
-        normal_z = columns.normal[:, 2]
-        is_steep &= (normal_z > 0.0) & (normal_z < limits.min_normal_z)
-    if not is_steep.any():
-        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    hit_indices = np.flatnonzero(columns.hits.closed != CONVEX_SOLID)
+    normal_z = columns.normal[hit_indices, 2]
+    hit_indices = hit_indices[(normal_z > 0.0) & (normal_z < limits.min_normal_z)]
+    # only these columns are valid
     first_cell, end_cell = columns.valid_rows.cell_range(columns.lattice)
-    cells = np.arange(first_cell, end_cell)
+    start = columns.start[first_cell : end_cell + 1]
+    hit_indices = hit_indices[(hit_indices >= start[0]) & (hit_indices < start[-1])]
+    cell_ids = first_cell + np.searchsorted(start, hit_indices, side="right") - 1
     if is_selected is not None:
-        cells = np.flatnonzero(is_selected)
-    column_index, hit_indices = expand_ranges(columns.start[cells], columns.start[cells + 1])
-    is_steep_hit = is_steep[hit_indices]
-    cell_ids = cells[column_index[is_steep_hit]]
-    hit_indices = hit_indices[is_steep_hit]
+        is_valid = is_selected[cell_ids]
+        cell_ids = cell_ids[is_valid]
+        hit_indices = hit_indices[is_valid]
     low_z = columns.z[hit_indices] + SAME_HEIGHT
     high_z = columns.z[hit_indices] + limits.headroom - LIMIT_SLACK
     lacks_headroom = np.empty(len(hit_indices), dtype=np.bool_)

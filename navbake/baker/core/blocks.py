@@ -43,23 +43,29 @@ class Blocks:
         self.num_cols = -(-lattice.width // BLOCK)
         self.num_blocks = self.num_rows * self.num_cols
 
-    def list_cells(self, blocks: Int) -> Int:
-        """List the ids of the cells of some blocks, block by block.
+    def list_cells(self, first_row: int, end_row: int) -> Int:
+        """List the ids of the cells of some rows, block by block.
 
         Args:
-            blocks: ids of the blocks, shape (k,).
+            first_row: the first row of cells.
+            end_row: the row past the last one.
 
         Returns:
             Ids of cells, shape (n,).
         """
-        height, width = self.lattice.shape
-        cells_from_corner = np.arange(BLOCK)
-        block_row, block_col = np.divmod(blocks, self.num_cols)
-        row = BLOCK * block_row[:, None] + cells_from_corner
-        col = BLOCK * block_col[:, None] + cells_from_corner
-        is_inside = (row < height)[:, :, None] & (col < width)[:, None, :]
-        cells: Int = (row[:, :, None] * width + col[:, None, :])[is_inside]
-        return cells
+        width = self.lattice.width
+        cells = np.arange(first_row * width, end_row * width).reshape(-1, width)
+        bands_of_blocks = [
+            cells[max(row - first_row, 0) : row + BLOCK - first_row]
+            for row in range(first_row // BLOCK * BLOCK, end_row, BLOCK)
+        ]
+        return np.concatenate(
+            [
+                band[:, col : col + BLOCK].ravel()
+                for band in bands_of_blocks
+                for col in range(0, width, BLOCK)
+            ]
+        )
 
     def list_rows(
         self,

@@ -188,7 +188,7 @@ def count_surfaces_below_headroom(region_context: RegionContext) -> Int:
     """
     regions = region_context.regions
     surfaces = regions.surfaces
-    cells = regions.blocks.list_cells(np.arange(regions.blocks.num_blocks))
+    cells = regions.blocks.list_cells(0, regions.lattice.height)
     cell_index, surface_ids = expand_ranges(surfaces.first[cells], surfaces.end[cells])
     region_of_surface = regions.region_of(surface_ids)
     has_region = region_of_surface >= 0

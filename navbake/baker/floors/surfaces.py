@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns.columns import ColumnSource, RowChunk, cast_columns, tile_shapes
+from navbake.baker.columns.columns import ColumnSource, cast_columns, tile_shapes
 from navbake.baker.core.arrays import Planes
 from navbake.baker.core.blocks import Blocks, join_arrays, list_rows
 from navbake.baker.core.limits import make_agent_limits
-from navbake.baker.core.tiles import BLOCK
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.surface_kernels import Surfaces, list_surfaces
 from navbake.baker.geometry.shapes import Shapes
@@ -78,12 +77,13 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
         np.empty(0, dtype=np.uint8),
         np.empty((0, num_axes), dtype=np.float32),
     )
+    blocks = Blocks(lattice)
     first_surface = np.zeros(lattice.width * lattice.height, dtype=np.int32)
     end_surface = np.zeros(lattice.width * lattice.height, dtype=np.int32)
     num_surfaces = 0
     arrays_by_chunk: list[list[NDArray[Any]]] = []
     for chunk in columns.row_chunks():
-        cells = _cells_by_block(lattice, chunk.valid_rows)
+        cells = blocks.list_cells(chunk.valid_rows.first, chunk.valid_rows.end)
         num_surfaces_in_cell, row_arrays = list_rows(
             list_surfaces,
             cells,
@@ -102,16 +102,6 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
         arrays_by_chunk.append(row_arrays)
     z, geom, flags, normal = join_arrays(arrays_by_chunk)
     return Surfaces(lattice, first_surface, end_surface, z, geom, flags, normal)
-
-
-def _cells_by_block(lattice: Lattice, rows: RowChunk) -> Int:
-    """Return the ids of the cells of a chunk of rows, block by block."""
-    blocks = Blocks(lattice)
-    first_block = rows.first // BLOCK * blocks.num_cols
-    end_block = -(-rows.end // BLOCK) * blocks.num_cols
-    cells = blocks.list_cells(np.arange(first_block, end_block))
-    first_cell, end_cell = rows.cell_range(lattice)
-    return cells[(first_cell <= cells) & (cells < end_cell)]
 
 
 def find_highest_within_step(
