@@ -58,7 +58,6 @@ class Row:
     Attributes:
         job: ours.
         peers: what others take, or a slow way of our own; the limit's ratio is with the first.
-        limit: the most seconds, as a median.
         ratio: the most times the first peer's median.
         excess: the most seconds more than the first peer's median.
         peak: the most memory [MiB].
@@ -67,7 +66,6 @@ class Row:
 
     job: Job
     peers: list[Job] = field(default_factory=list)
-    limit: float | None = None
     ratio: float | None = None
     excess: float | None = None
     peak: float | None = None
@@ -114,7 +112,7 @@ def beside(
     except ImportError:
         missing = why_missing(module)
         # what a limit compares with isn't there; other peers take no place of it
-        return Row(job, [], limits.get("limit"), limits.get("ratio"), missing=missing)
+        return Row(job, [], limits.get("ratio"), missing=missing)
     return Row(job, [peer, *others], **limits)  # type: ignore[arg-type]
 
 

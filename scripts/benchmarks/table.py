@@ -80,7 +80,6 @@ def judge_limits(row: Row, results: Sequence[Result]) -> list[Limit]:
     limits = (
         (row.ratio, ratio, f"{row.ratio or 0:g} ×"),
         (row.excess, excess, f"{format_seconds(row.excess or 0)} more"),
-        (row.limit, job.median, format_seconds(row.limit or 0)),
         (row.peak, job.peak, f"{row.peak or 0:,.0f} MiB"),
     )
     return [
@@ -164,7 +163,6 @@ def to_json(outcome: Outcome) -> dict[str, Any]:
     if outcome.row is None or not jobs:
         return {**content, "reason": outcome.reason}
     limits = {
-        "seconds": outcome.row.limit,
         "ratio": outcome.row.ratio,
         "excess": outcome.row.excess,
         "peak": outcome.row.peak,
