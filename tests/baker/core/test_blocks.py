@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from navbake.baker.bake.pipeline import run_bake
 from navbake.baker.bake.stages import bake_stages, open_stages
@@ -65,6 +66,36 @@ def test_columns_of_rows_and_of_cells_are_those_of_the_whole(tmp_path, monkeypat
             for a, b in zip(some.hits[1:], whole.hits[1:], strict=True):
                 np.testing.assert_array_equal(a[one], b[other])
     assert isinstance(shapes, ChunkedShapes)
+
+
+@pytest.mark.parametrize("num_cells", [1, 40, 400])
+def test_normals_of_rough_ground_at_some_cells_are_those_of_the_whole(
+    tmp_path, monkeypatch, num_cells
+):
+    """Cells far apart: the columns between them are not cast, and have no hits."""
+    rng = np.random.default_rng(0)
+    x, y = np.meshgrid(np.arange(101) * 0.02, np.arange(101) * 0.02)
+    vertices = np.stack([x.ravel(), y.ravel(), rng.normal(0, 0.01, x.size)], axis=1)
+    corner = np.arange(101 * 101).reshape(101, 101)[:-1, :-1].ravel()
+    faces = np.concatenate(
+        [corner[:, None] + [0, 1, 102], corner[:, None] + [0, 102, 101]], dtype=np.int64
+    )
+    path = tmp_path / "rough.ply"
+    trimesh.Trimesh(vertices, faces, process=False).export(path)
+    config = parse_config({"scene": {"path": str(path), "up": "z"}})
+    shapes = open_stages(config, StageClock()).shape_source
+    whole = ColumnCaster(shapes, config.agent, config.floors.crack, StageClock())
+    (columns,) = whole.row_chunks()
+    is_replaced = (columns.normal != columns_module.cast_columns(shapes).normal).any(axis=1)
+    assert is_replaced.sum() > 100
+    cells = np.sort(rng.choice(len(columns.start) - 1, num_cells, replace=False))
+    monkeypatch.setattr(column_sources, "MAX_CELLS_IN_MEMORY", 0)
+    caster = ColumnCaster(shapes, config.agent, config.floors.crack, StageClock())
+    columns_of_cells = caster.columns_at(cells)
+    for cell in cells.tolist():
+        hits = slice(*columns_of_cells.start[cell : cell + 2].tolist())
+        expected_hits = slice(*columns.start[cell : cell + 2].tolist())
+        np.testing.assert_array_equal(columns_of_cells.normal[hits], columns.normal[expected_hits])
 
 
 def in_blocks(monkeypatch, cells):
