@@ -3,8 +3,9 @@
 Warnings of numpy's are errors in the tests of readers: a file's numbers are checked before they are
 computed with.
 
-While tests are collected, no garbage is: looking through all modules and tests for it took twice as
-long as the rest. Those stay until the end, and are not looked through again.
+Python's garbage collector is off while tests are collected: again and again it would search all
+modules and tests, which takes twice as long as all else. They live until the end, so they are
+frozen then: the collector leaves them out for good.
 
 How long an example takes says something of the machine, not of the code. `.ci/run` chooses
 Hypothesis's own profile `ci`, which has none either.
@@ -58,8 +59,8 @@ def pytest_collection():
 
 def pytest_collection_modifyitems(config, items):
     if hasattr(config, "workerinput"):  # one of several processes
-        places = {Path(__file__).parent / name: place for place, name in enumerate(LONG_FILES)}
-        items.sort(key=lambda item: places.get(item.path, len(places)))
+        rank_of_file = {Path(__file__).parent / name: rank for rank, name in enumerate(LONG_FILES)}
+        items.sort(key=lambda item: rank_of_file.get(item.path, len(LONG_FILES)))
     folders = [Path(__file__).parent / name for name in READER_FOLDERS]
     for item in items:
         if any(folder in item.path.parents for folder in folders):

@@ -611,19 +611,20 @@ class _Builder:
         route = self.search.find_route(self.node_cells[start_node], np.array([end_cell]))
         if route is None:
             return
-        if route.is_by_link.any():  # else it takes no links
+        # a route takes no links without such steps; to measure it takes long
+        if route.is_by_link.any():
             costs = self.search.measure_route(route, self.flat.to_cells(route.cells), "cost")
             if costs.links:
                 return
         positions, levels, _ = line_kernels.lay_route(
-            route.cells,
-            route.is_by_link,
-            np.array(self.nodes[start_node].position[:2]),
-            np.array(self.nodes[end_node].position[:2]),
-            True,
-            self.search.graph,
-            self.flat.floors,
-            self.search.off_center,
+            route=route.cells,
+            is_by_link=route.is_by_link,
+            start=np.array(self.nodes[start_node].position[:2]),
+            end=np.array(self.nodes[end_node].position[:2]),
+            is_smooth=True,
+            graph=self.search.graph,
+            floors=self.flat.floors,
+            off_center=self.search.off_center,
         )
         if (levels != level).any():
             return
@@ -660,14 +661,14 @@ class _Builder:
         first_index = 0  # of the corners after the last node
         while first_index < len(corner_cells):
             previous_node = corner_nodes[-1]
-            skipped, mean_weight = lane_kernels.find_farthest_corner(
+            num_skipped, mean_weight = lane_kernels.find_farthest_corner(
                 self.node_cells[previous_node],
                 corner_cells[first_index:],
                 MAX_DETOUR_FACTOR,
                 self.search.graph,
                 self.search.off_center,
             )
-            farthest_index = first_index + skipped
+            farthest_index = first_index + num_skipped
             cell = int(corner_cells[farthest_index])
             corner_node = None
             if farthest_index + 1 < len(corner_cells):

@@ -39,7 +39,8 @@ WORKER = Path(__file__).with_name("worker.py")
 NAVBAKE = [sys.executable, "-m", "navbake"]
 SMALL = 9  # rooms of the smaller soup
 MEDIUM = 400  # rooms of a house of 4 million cells
-SIZES = (ROOMS, 4, 25, MEDIUM)  # rooms of the houses whose cost per cell is compared
+# Rooms of the houses whose cost per cell is compared; the limit is a ratio to the first of them
+SIZES = (ROOMS, 4, 25, MEDIUM)
 LARGE = 1600  # rooms of the largest: 16 million cells
 BARE = {"rooms": "none", "doors": {"find": False}, "names": False}
 
@@ -172,7 +173,7 @@ def _without_reading(job: Job, path: Path) -> Job:
 def _per_million(scenes: Scenes, rooms: int) -> Job:
     """A bake's time for a million cells, without MuJoCo's reading of the scene.
 
-    MuJoCo takes a time that grows faster than the number of geoms: at 1,600 rooms, most of a bake.
+    MuJoCo's time grows faster than the number of geoms: at 1,600 rooms, it is most of a bake.
     """
     job = bake_job("", scenes.house(rooms), warm_up=scenes.house(4))
 

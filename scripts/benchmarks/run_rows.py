@@ -30,8 +30,8 @@ CAST = 32  # agents whose rays are cast; all others are taken to cost as much
 SCALAR = {"is_navigable": 0.55, "snap": 1.1, "clearance": 1.5, "try_step": 2.4, "find_path": 20.0}
 """What one answer may take, in look-ups of one place by numpy."""
 SEARCHED = 50  # goals to which scipy searches; all others are taken to cost as much
-ROUTES = 45.0
-BUILDING = 60.0
+ROUTES_RATIO = 45.0
+BUILDING_RATIO = 60.0
 """What graphs of routes may take, in searches by scipy from one cell to all others."""
 SEE_ABOVE = 0.6  # metres above an agent at which the rays begin
 
@@ -290,14 +290,14 @@ def max_radius_row(house: House) -> Row:
 def routes_row(house: House) -> Row:
     """The graph of routes of about half a million free cells."""
     job = here("make_routes, half a million free cells", house.grid.routes)
-    return Row(job, [search_all_job(house)], ratio=ROUTES)
+    return Row(job, [search_all_job(house)], ratio=ROUTES_RATIO)
 
 
 def building_row(house: House) -> Row:
     """The same grid as a building of Open-RMF, with its routes."""
     encode = partial(encode_as, house.grid, "house.building.yaml")
     job = here("building of half a million free cells", encode)
-    return Row(job, [search_all_job(house)], ratio=BUILDING)
+    return Row(job, [search_all_job(house)], ratio=BUILDING_RATIO)
 
 
 def search_all_job(house: House) -> Job:

@@ -127,32 +127,38 @@ def cross_part(part: Part, x: Float, y: Float) -> PartColumns:
     """Cross a part with the vertical lines at x, y."""
     if isinstance(part, HalfSpace):
         return _cross_half_space(part, x, y)
-    near = np.flatnonzero(_is_over(part, x, y))
+    near = np.flatnonzero(_is_near(part, x, y))
     columns = _cross_near(part, x[near], y[near])
-    heights = (columns.z, columns.up, columns.low, columns.high)
-    return PartColumns(*(_spread(each, near, len(x)) for each in heights), columns.is_solid)
+    return PartColumns(
+        z=_spread(columns.z, near, len(x)),
+        up=_spread(columns.up, near, len(x)),
+        low=_spread(columns.low, near, len(x)),
+        high=_spread(columns.high, near, len(x)),
+        is_solid=columns.is_solid,
+    )
 
 
-def _is_over(part: Body | Surface, x: Float, y: Float) -> np.ndarray:
+def _is_near(part: Body | Surface, x: Float, y: Float) -> np.ndarray:
     """The lines through the box round a part, or close beside it: all others miss the part."""
     ways = np.array([[1.0, 0, 0], [0, 1.0, 0], [-1.0, 0, 0], [0, -1.0, 0]])
     if isinstance(part, Surface):
         reach = (part.corners.reshape(-1, 3) @ ways.T).max(axis=0, initial=-np.inf)
     else:
         reach = part.support(ways)
-    high_x, high_y, low_x, low_y = reach + BESIDE_BOX
-    over: np.ndarray = (x <= high_x) & (y <= high_y) & (-x <= low_x) & (-y <= low_y)
-    return over
+    east, north, west, south = reach + BESIDE_BOX  # to the west and south, -x and -y grow
+    near: np.ndarray = (x <= east) & (y <= north) & (-x <= west) & (-y <= south)
+    return near
 
 
-def _spread(heights: Float, lines: np.ndarray, num: int) -> Float:
-    """Heights at some of the lines as heights at all lines, NaN at the others."""
-    spread = np.full((len(heights), num), np.nan)
-    spread[:, lines] = heights
+def _spread(values: Float, lines: np.ndarray, num_lines: int) -> Float:
+    """Values at some lines, shape (m, k), as values at all lines, NaN at the others."""
+    spread = np.full((len(values), num_lines), np.nan)
+    spread[:, lines] = values
     return spread
 
 
 def _cross_near(part: Body | Surface, x: Float, y: Float) -> PartColumns:
+    """Cross a part with lines, each of which may meet it."""
     if isinstance(part, Surface):
         return _cross_surface(part, x, y)
     line = part.cross(x, y)

@@ -345,9 +345,9 @@ def _sample_ground(
 def find_ground(
     tiled_shapes: TiledShapes, cells: Int, points: Float, z: Float, max_rise: float
 ) -> Float:
-    """Find the ground at points: the highest surface near a height that faces up.
+    """Find the ground at points: the highest surface that faces up, near a given height.
 
-    The result is the same as that of the columns of `cast_points`, in less time.
+    The result is what the columns of `cast_points` give, in less time.
 
     Args:
         tiled_shapes: the shapes on a lattice.
@@ -387,7 +387,7 @@ def find_ground(
     rise = np.full(len(cells), np.nan)
     is_ground = rise_in_order > -np.inf
     rise[order[is_ground]] = rise_in_order[is_ground]
-    # a hit at an edge may be superfluous, which only the line's column tells
+    # a hit at a triangle's edge may be superfluous: whether it is, only the whole column tells
     uncertain_lines = order[edge_rise > rise_in_order]
     rise[uncertain_lines] = np.nan
     hits = cast_points(tiled_shapes, cells[uncertain_lines], points[uncertain_lines])

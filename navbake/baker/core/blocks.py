@@ -55,14 +55,14 @@ class Blocks:
         """
         width = self.lattice.width
         cells = np.arange(first_row * width, end_row * width).reshape(-1, width)
-        bands_of_blocks = [
+        cells_of_block_rows = [
             cells[max(row - first_row, 0) : row + BLOCK - first_row]
             for row in range(first_row // BLOCK * BLOCK, end_row, BLOCK)
         ]
         return np.concatenate(
             [
-                band[:, col : col + BLOCK].ravel()
-                for band in bands_of_blocks
+                block_row_cells[:, col : col + BLOCK].ravel()
+                for block_row_cells in cells_of_block_rows
                 for col in range(0, width, BLOCK)
             ]
         )

@@ -312,10 +312,10 @@ def gather_meshes(triangles_of_geoms: Iterable[tuple[int, GeomTriangles]]) -> Me
     non_empty_meshes = [(geom, mesh) for geom, mesh in triangles_of_geoms if len(mesh.faces)]
     geom_ids = [geom for geom, _ in non_empty_meshes]
     meshes = [mesh for _, mesh in non_empty_meshes]
-    # by the id of the faces, which geoms of one mesh share; None if all vertices are used
+    # by the id() of the faces, which geoms of one mesh share; None if all vertices are used
     used_mask_by_faces_id = dict[int, Bool | None]()
     boxes = np.empty((len(meshes), 6))
-    small_meshes = list[int]()
+    small_mesh_numbers = list[int]()
     vertices_of_small_meshes = list[Float]()
     for number, mesh in enumerate(meshes):
         if id(mesh.faces) not in used_mask_by_faces_id:
@@ -326,10 +326,10 @@ def gather_meshes(triangles_of_geoms: Iterable[tuple[int, GeomTriangles]]) -> Me
         if len(vertices) > MAX_JOINED_POINTS:
             boxes[number] = bounding_box(vertices)
         else:
-            small_meshes.append(number)
+            small_mesh_numbers.append(number)
             vertices_of_small_meshes.append(vertices)
-    if small_meshes:
-        boxes[small_meshes] = _measure_small_boxes(vertices_of_small_meshes)
+    if small_mesh_numbers:
+        boxes[small_mesh_numbers] = _measure_small_boxes(vertices_of_small_meshes)
     return Meshes(np.array(geom_ids, dtype=np.int32), meshes, boxes)
 
 
@@ -343,10 +343,10 @@ def _measure_small_boxes(point_sets: list[Float]) -> Float:
         Lower corner, upper corner of each box, shape (sets, 6) [m].
     """
     num_points = np.array([len(points) for points in point_sets])
-    first_points = np.cumsum(num_points) - num_points
+    first_point_of_set = np.cumsum(num_points) - num_points
     points = np.concatenate(point_sets)
-    lower_corners = np.minimum.reduceat(points, first_points)
-    upper_corners = np.maximum.reduceat(points, first_points)
+    lower_corners = np.minimum.reduceat(points, first_point_of_set)
+    upper_corners = np.maximum.reduceat(points, first_point_of_set)
     return np.hstack([lower_corners, upper_corners])
 
 

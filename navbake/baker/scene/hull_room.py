@@ -330,7 +330,7 @@ def _mark_tops(
         is_in_surface = padded_surfaces == surface
         rows, cols = np.nonzero(is_in_surface)
         if (min(np.ptp(rows), np.ptp(cols)) + 1) * lattice.cell_size < MAX_TOP_WIDTH:
-            continue  # it is nowhere wider than the box around it, as the tops of most furniture
+            continue  # no surface is wider than the box around it; most tops of furniture end here
         # an edge of the surface is half a cell from the centre of its outermost cell
         distances = ndimage.distance_transform_edt(is_in_surface)
         half_width = (distances.max() - 0.5) * lattice.cell_size

@@ -159,20 +159,22 @@ def test_regions_without_some_surfaces_are_those_of_the_others(tmp_path, seed, n
     is_removed = np.zeros(len(surfaces.z), dtype=np.bool_)
     first = np.random.default_rng(seed).integers(0, max(len(surfaces.z) - num_removed, 1))
     is_removed[first : first + num_removed] = True
-    left = remove_from_regions(regions, is_removed, agent)
+    remaining = remove_from_regions(regions, is_removed, agent)
     flags = np.where(is_removed, 0, surfaces.flags).astype(np.uint8)
     expected = find_regions(surfaces._replace(flags=flags), agent)
-    assert np.array_equal(left.surfaces.flags, flags)
+    assert np.array_equal(remaining.surfaces.flags, flags)
     for name in ("num_surfaces", "num_uncovered", "box", "lowest_z", "highest_z"):
-        assert np.array_equal(getattr(left, name), getattr(expected, name)), name
-    assert np.array_equal(left.region_of_component, expected.region_of_component)
+        assert np.array_equal(getattr(remaining, name), getattr(expected, name)), name
+    assert np.array_equal(remaining.region_of_component, expected.region_of_component)
     for name in expected.components._fields:
-        values = getattr(left.components, name)
+        values = getattr(remaining.components, name)
         assert np.array_equal(values, getattr(expected.components, name)), name
     for min_area in (0.01, 0.1, 1.0):
         limits = settings.model_copy(update={"min_area": min_area, "shrink": 0.0})
         is_large = find_large_regions(regions, regions.num_surfaces > 0, limits)
-        is_large_now = find_large_remaining_regions(left, regions, is_large, is_removed, limits)
+        is_large_now = find_large_remaining_regions(
+            remaining, regions, is_large, is_removed, limits
+        )
         assert np.array_equal(
             is_large_now, find_large_regions(expected, expected.num_surfaces > 0, limits)
         )
