@@ -207,7 +207,7 @@ COMPARISONS = (
     Comparison("inflate", "inflation of a million cells", "OpenCV `distanceTransform`"),
     Comparison("path", "8 paths on a million cells", "pyastar2d"),
     Comparison("field", "a distance field of a million cells", "dijkstra3d"),
-    Comparison("voxels", "17.2 million voxels of a mesh", "pyvista"),
+    Comparison("voxels", "17.2 million voxels of a mesh", "pyvista", peer_index=1),
     Comparison("octree-scattered", "a million voxels as an octree", "octomap-python"),
     Comparison("flights-house", "8 flights in a house, voxels of 0.1 m", "scipy's Dijkstra"),
     Comparison("flights-house", "the same", "dijkstra3d", peer_index=1),
