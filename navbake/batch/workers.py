@@ -22,6 +22,7 @@ from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
+from types import FrameType
 from typing import Any, NamedTuple, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
@@ -221,7 +222,7 @@ class Workers:
                     self._limits.memory,
                 )
                 try:
-                    with _block_ctrl_c():  # the first job starts the workers
+                    with _block_ctrl_c(), _defer_sigterm():  # the first job starts the workers
                         future: Future[Any] = self._pool.schedule(
                             _run_job, arguments, timeout=timeout
                         )
@@ -304,6 +305,34 @@ def _block_ctrl_c() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, previous_mask)
+
+
+@contextmanager
+def _defer_sigterm() -> Iterator[None]:
+    """Handle a SIGTERM that arrives within the with statement at its end.
+
+    Otherwise the pool wouldn't know a worker that is just being started. The worker would not be
+    ended, and would print a traceback when it finds that the pool is gone. SIGTERM isn't blocked,
+    as processes started there would keep it blocked.
+    """
+    previous_handler = signal.getsignal(signal.SIGTERM)
+    is_main_thread = threading.current_thread() is threading.main_thread()
+    if not is_main_thread or previous_handler is None:  # a handler can't be set, or not set again
+        yield
+        return
+    is_pending = False
+
+    def remember_signal(signal_number: int, stack_frame: FrameType | None) -> None:
+        nonlocal is_pending
+        is_pending = True
+
+    signal.signal(signal.SIGTERM, remember_signal)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous_handler)
+        if is_pending:
+            signal.raise_signal(signal.SIGTERM)
 
 
 # ---------------------------------------------------------------- in the worker

@@ -144,6 +144,37 @@ def test_workers_are_gone_when_the_jobs_are_left():
     assert not is_there(pid)
 
 
+class TerminatedPool(workers.ProcessPool):
+    """A pool during whose start SIGTERM arrives."""
+
+    has_started = False
+
+    def schedule(self, *args, **kwargs):
+        signal.raise_signal(signal.SIGTERM)
+        future = super().schedule(*args, **kwargs)
+        TerminatedPool.has_started = True
+        return future
+
+
+@linux
+def test_sigterm_waits_until_the_workers_are_started(monkeypatch, capfd):
+    """Else the pool doesn't know a worker that is being started, which prints a traceback."""
+
+    def leave(signal_number, stack_frame):
+        raise SystemExit(128 + signal_number)
+
+    monkeypatch.setattr(workers, "ProcessPool", TerminatedPool)
+    previous_handler = signal.signal(signal.SIGTERM, leave)
+    try:
+        with pytest.raises(SystemExit, match="143"), Workers(crew_jobs.work, 2) as crew:
+            list(crew.run([("double", 1)]))
+        assert TerminatedPool.has_started
+        assert signal.getsignal(signal.SIGTERM) is leave
+    finally:
+        signal.signal(signal.SIGTERM, previous_handler)
+    assert capfd.readouterr() == ("", "")
+
+
 @linux
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
 def test_workers_are_gone_when_the_parent_is(number, tmp_path):
