@@ -16,7 +16,7 @@ from navbake.runtime.grid_arrays import (
     level_of,
     to_cell_units,
 )
-from navbake.runtime.line_kernels import can_pass
+from navbake.runtime.line_kernels import can_pass, cell_at
 
 CENTER_DISTANCE = 1e-6  # [m]: a point this near to a cell's centre is there
 MICROMETRES = 1e6  # in a metre; positions of nodes are rounded to whole ones
@@ -51,8 +51,9 @@ def sees(cell, target_cell, graph, off_center):
     if num_steps == 0 or not is_straight:
         return False
     for direction in range(8):
-        is_along_rows = ROW_STEP[direction] * num_steps == row_offset
-        if is_along_rows and COL_STEP[direction] * num_steps == col_offset:
+        leads_to_row = ROW_STEP[direction] * num_steps == row_offset
+        leads_to_col = COL_STEP[direction] * num_steps == col_offset
+        if leads_to_row and leads_to_col:
             cell_step = ROW_STEP[direction] * width + COL_STEP[direction]
             for step in range(num_steps):
                 if not (graph.moves[cell + step * cell_step] >> direction) & 1:
@@ -89,15 +90,8 @@ def sample_line(start, end, level, layout):
         fraction = (i + 0.5) / num_points
         x = start[0] + fraction * x_offset
         y = start[1] + fraction * y_offset
-        cells[i] = _cell_at(layout, level, x, y)
+        cells[i] = cell_at(layout, level, to_cell_units(layout, level, x, y))
     return cells
-
-
-@subkernel
-def _cell_at(layout, level, x, y):
-    """Compute the flat id of the cell of a level that a point is in."""
-    u, v = to_cell_units(layout, level, x, y)
-    return layout.start[level] + math.floor(v) * layout.width[level] + math.floor(u)
 
 
 @kernel
@@ -158,7 +152,8 @@ def find_corner_cells(points, level, layout):
     corner_cells = np.empty(points.shape[0], np.int64)
     num_corners = 0
     for i in range(points.shape[0]):
-        cell = _cell_at(layout, level, points[i, 0], points[i, 1])
+        point_in_cells = to_cell_units(layout, level, points[i, 0], points[i, 1])
+        cell = cell_at(layout, level, point_in_cells)
         x, y = cell_center(layout, cell)
         if max(abs(x - points[i, 0]), abs(y - points[i, 1])) < CENTER_DISTANCE:
             corner_cells[num_corners] = cell

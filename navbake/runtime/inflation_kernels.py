@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.compiled import kernel, subkernel
+from navbake.runtime.envelope_kernels import add_parabola
 from navbake.runtime.grid_arrays import EAST, NORTH, SOUTH, WEST
 
 PATCH_SIZE = 4  # edge of the squares of cells by which floors are compared first
@@ -67,18 +68,7 @@ def dilate(is_occupied, half_width):
         The marked cells, bool, shape (rows, cols).
     """
     num_rows, num_cols = is_occupied.shape
-    max_distance = half_width.shape[0] - 1
-    # rows to the nearest occupied cell of the same column, at most `max_distance`
-    row_distances = np.empty((num_rows, num_cols), dtype=np.int32)
-    for row in range(num_rows):
-        for col in range(num_cols):
-            distance_above = row_distances[row - 1, col] if row > 0 else max_distance
-            row_distances[row, col] = (
-                0 if is_occupied[row, col] else min(distance_above + 1, max_distance)
-            )
-    for row in range(num_rows - 2, -1, -1):
-        for col in range(num_cols):
-            row_distances[row, col] = min(row_distances[row, col], row_distances[row + 1, col] + 1)
+    row_distances = measure_along_columns(is_occupied, half_width.shape[0] - 1)
     is_covered = np.empty((num_rows, num_cols), dtype=np.bool_)
     interval_half_widths = np.empty(num_cols, dtype=np.int32)
     for row in range(num_rows):
@@ -100,7 +90,7 @@ def dilate(is_occupied, half_width):
 
 
 @kernel
-def measure_along_columns(is_occupied):
+def measure_along_columns(is_occupied, max_distance):
     """Measure how many rows each cell is away from the nearest occupied cell of its column.
 
     This is the first pass of Felzenszwalb and Huttenlocher's exact Euclidean distance transform
@@ -108,17 +98,19 @@ def measure_along_columns(is_occupied):
 
     Args:
         is_occupied: uint8, shape (rows, cols).
+        max_distance: the distance of cells that are farther away, or whose column has no occupied
+            cell, such as `NO_DISTANCE`.
 
     Returns:
-        int32, shape (rows, cols); `NO_DISTANCE` where no cell of the column is occupied.
+        int32, shape (rows, cols).
     """
     num_rows, num_cols = is_occupied.shape
     row_distances = np.empty((num_rows, num_cols), dtype=np.int32)
     for row in range(num_rows):
         for col in range(num_cols):
-            distance_above = row_distances[row - 1, col] if row > 0 else NO_DISTANCE
+            distance_above = row_distances[row - 1, col] if row > 0 else max_distance
             row_distances[row, col] = (
-                0 if is_occupied[row, col] else min(distance_above + 1, NO_DISTANCE)
+                0 if is_occupied[row, col] else min(distance_above + 1, max_distance)
             )
     for row in range(num_rows - 2, -1, -1):
         for col in range(num_cols):
@@ -134,14 +126,15 @@ def measure_along_rows(row_distances, squared_distances, begin, end):
     envelope of all parabolas is the squared distance, see `measure_along_columns`.
 
     Args:
-        row_distances: the distances along columns, from `measure_along_columns`.
-        squared_distances: written: squared distances, in cells, int32, shape (rows, cols); -1 where
-            no cell is occupied.
+        row_distances: the distances along columns, at most `NO_DISTANCE`, from
+            `measure_along_columns`.
+        squared_distances: receives the squared distances, in cells, int32, shape (rows, cols); -1
+            where no cell is occupied.
         begin: first row.
         end: the row after the last.
     """
     num_cols = row_distances.shape[1]
-    centers = np.empty(num_cols, np.int64)  # columns of the parabolas of the envelope
+    centers = np.empty(num_cols)  # columns of the parabolas of the envelope
     heights = np.empty(num_cols)  # what they measure at their centres
     bounds = np.empty(num_cols + 1)  # from where to where each parabola is the lowest
     for row in range(begin, end):
@@ -151,20 +144,9 @@ def measure_along_rows(row_distances, squared_distances, begin, end):
             if row_distance == NO_DISTANCE:
                 continue
             height = float(row_distance) * float(row_distance)
-            crossing = -np.inf
-            while num_parabolas > 0:
-                other_col = centers[num_parabolas - 1]
-                rise = height - heights[num_parabolas - 1]
-                crossing = (rise / (col - other_col) + (col + other_col)) / 2.0
-                if crossing > bounds[num_parabolas - 1]:
-                    break
-                num_parabolas -= 1
-                crossing = -np.inf
-            centers[num_parabolas] = col
-            heights[num_parabolas] = height
-            bounds[num_parabolas] = crossing
-            num_parabolas += 1
-            bounds[num_parabolas] = np.inf
+            num_parabolas = add_parabola(
+                centers, heights, bounds, num_parabolas, float(col), height
+            )
         parabola = 0
         for col in range(num_cols):
             if num_parabolas == 0:
@@ -173,7 +155,7 @@ def measure_along_rows(row_distances, squared_distances, begin, end):
             while bounds[parabola + 1] < col:
                 parabola += 1
             offset = col - centers[parabola]
-            squared_distances[row, col] = np.int32(heights[parabola]) + offset * offset
+            squared_distances[row, col] = np.int32(heights[parabola] + offset * offset)
 
 
 @kernel

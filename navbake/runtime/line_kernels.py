@@ -463,7 +463,7 @@ def _lay_on_floor(points, levels, link_end_indices, layout, floors):
             line_link_end_indices[num_line_points - 1] = link_end_indices[i]
             next_level = levels[i + 1]
             next_in_cells = to_cell_units(layout, next_level, points[i + 1, 0], points[i + 1, 1])
-            z = floor_at(floors, next_level, _cell_at(layout, next_level, next_in_cells))
+            z = floor_at(floors, next_level, cell_at(layout, next_level, next_in_cells))
             if abs(z - line_points[num_line_points - 1, 2]) > layout.cell_size[level] * STEEP_RISE:
                 for axis in range(2):
                     middle_coordinate = (points[i, axis] + points[i + 1, axis]) / 2.0
@@ -493,8 +493,8 @@ def _floor_profile(start, end, level, layout, floors):
     cells, entry_fractions = find_crossed_cells(start, end, layout, level)
     last_index = cells.shape[0] - 1
     # an end that lies on an edge may be crossed in the neighbour of its cell
-    cells[last_index] = _cell_at(layout, level, end)
-    cells[0] = _cell_at(layout, level, start)
+    cells[last_index] = cell_at(layout, level, end)
+    cells[0] = cell_at(layout, level, start)
     profile = np.empty((3 * last_index + 4, 2))
     num_points = 0
     z_before = 0.0
@@ -523,7 +523,7 @@ def _floor_profile(start, end, level, layout, floors):
 
 
 @subkernel
-def _cell_at(layout, level, point):
+def cell_at(layout, level, point):
     """Compute the flat id of the cell that a point (u, v) is in."""
     return layout.start[level] + math.floor(point[1]) * layout.width[level] + math.floor(point[0])
 

@@ -225,7 +225,7 @@ def measure_to_occupied(grid: NavGrid, level_number: int, max_distance: float) -
     stack, level_window = stack_levels(grid, level_number, math.ceil(max_distance_in_cells) + 1)
     compiled.ensure_compiled("runtime.inflation_kernels.")
     occupied = stack.occupied[stack.level]
-    row_distances = kernels.measure_along_columns(occupied)
+    row_distances = kernels.measure_along_columns(occupied, kernels.NO_DISTANCE)
     squared_distances = np.empty(occupied.shape, dtype=np.int32)
     threads.run_in_chunks(
         kernels.measure_along_rows,

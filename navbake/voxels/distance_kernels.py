@@ -16,6 +16,7 @@ import math
 import numpy as np
 
 from navbake.compiled import kernel
+from navbake.runtime.envelope_kernels import add_parabola
 
 
 @kernel(nogil=True)
@@ -46,22 +47,9 @@ def spread_along_axis(lines, begin, end):
                 face_height = min(heights[voxel - 1], heights[voxel])
                 if face_height == math.inf:
                     continue
-                face = 2.0 * voxel - 1.0
-                crossing = -math.inf
-                while num_parabolas > 0:
-                    other = faces[num_parabolas - 1]
-                    difference = face_height + face * face
-                    difference -= face_heights[num_parabolas - 1] + other * other
-                    crossing = difference / (2.0 * (face - other))
-                    if crossing > bounds[num_parabolas - 1]:
-                        break
-                    num_parabolas -= 1
-                    crossing = -math.inf
-                faces[num_parabolas] = face
-                face_heights[num_parabolas] = face_height
-                bounds[num_parabolas] = crossing
-                num_parabolas += 1
-                bounds[num_parabolas] = math.inf
+                num_parabolas = add_parabola(
+                    faces, face_heights, bounds, num_parabolas, 2.0 * voxel - 1.0, face_height
+                )
             parabola = 0
             for voxel in range(count if num_parabolas else 0):
                 center = 2.0 * voxel

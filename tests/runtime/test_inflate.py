@@ -470,7 +470,7 @@ def test_distances_to_occupied_cells_are_those_of_scipy(seed):
     rng = np.random.default_rng(seed)
     share = rng.choice([0.0, 0.01, 0.2, 1.0])
     occupied = (rng.random(rng.integers(1, 90, 2)) < share).astype(np.uint8)
-    row_distances = inflation_kernels.measure_along_columns(occupied)
+    row_distances = inflation_kernels.measure_along_columns(occupied, inflation_kernels.NO_DISTANCE)
     squared = np.zeros(occupied.shape, np.int32)
     inflation_kernels.measure_along_rows(row_distances, squared, 0, len(occupied))
     expected = np.full(occupied.shape, -1)

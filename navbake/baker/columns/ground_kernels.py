@@ -1,4 +1,4 @@
-"""Find the ground on vertical lines: the highest surface near a height that faces up.
+"""Find the ground on vertical lines: the highest surface that faces up, near a height.
 
 That needs no columns. Triangles that face down, or that are far from the height, are left out, and
 no hits are written or sorted. A column may lack a hit at the edge of a triangle, see `hit_kernels`,
@@ -36,7 +36,7 @@ class GroundLines(NamedTuple):
 
 
 @subkernel(**NO_REFCOUNT)
-def _count_lines_by_cell(lattice, lines, first_line, end_line, window, line_start):
+def _find_lines_of_cells(lattice, lines, first_line, end_line, window, line_start):
     """Find which lines of a tile run through each of its cells.
 
     Args:
@@ -71,7 +71,7 @@ def _raise_ground_to_triangles(
         lines: the lines, as `GroundLines`.
         max_rise: how far ground is above or below the line's height at most [m].
         window: window of the tile's cells, see `tile_window`.
-        line_start: the index of the first line of each cell, see `_count_lines_by_cell`.
+        line_start: the index of the first line of each cell, see `_find_lines_of_cells`.
         rise: for each line, how far the ground is above the line's height, -inf for none, (n,) [m];
             raised to crossings inside of triangles.
         edge_rise: the same, raised to crossings at edges of triangles.
@@ -117,7 +117,7 @@ def _raise_ground_to_triangles(
 
 @subkernel(**NO_REFCOUNT)
 def _raise_ground_to_hits(hits, num_hits, line_z, max_rise, line, rise):
-    """Raise a line's ground to the first hits of `hits` that face up.
+    """Raise a line's ground to those of the first `num_hits` hits that face up.
 
     Args:
         hits: hits of solids or planes, as `LineHits`.
@@ -136,7 +136,7 @@ def _raise_ground_to_hits(hits, num_hits, line_z, max_rise, line, rise):
 def raise_ground(
     lattice, geometry, tile_index, lines, max_rise, rise, edge_rise, first_tile, end_tile
 ):
-    """Raise the ground of lines to the highest surface near a height that faces up.
+    """Raise the ground of lines to the highest surface that faces up, near a height.
 
     This is done for the lines of the tiles ``range(first_tile, end_tile)`` of `lines`. A line is
     only intersected with the shapes over its tile.
@@ -175,7 +175,7 @@ def raise_ground(
                     num_hits = hit_solid(solids, solid, x, y, ray, hits, first_hit)
                     _raise_ground_to_hits(hits, num_hits, lines.z[line], max_rise, line, rise)
         window = tile_window(lattice, tile)
-        _count_lines_by_cell(lattice, lines, lines.start[i], lines.start[i + 1], window, line_start)
+        _find_lines_of_cells(lattice, lines, lines.start[i], lines.start[i + 1], window, line_start)
         first_entry = tile_index.triangle_start[tile]
         end_entry = tile_index.triangle_start[tile + 1]
         _raise_ground_to_triangles(
