@@ -20,7 +20,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, TimeoutError, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from functools import partial
-from multiprocessing import get_context
+from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple, TypeVar
@@ -84,6 +84,27 @@ OnJobEvent = Callable[[str, JobEnd], None]
 """A function that is called with `SCENE_BEGUN` when a job begins, with `RETRIED` before a retry."""
 
 
+class _RecordingContext(SpawnContext):
+    """Starts processes anew, as `multiprocessing` does by ``spawn``, and remembers them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._processes: list[SpawnProcess] = []
+
+    def Process(self, *args: Any, **kwargs: Any) -> SpawnProcess:  # type: ignore[override]
+        """Make a process that isn't started yet, as `multiprocessing.Process` does."""
+        process = SpawnProcess(*args, **kwargs)
+        self._processes.append(process)
+        return process
+
+    def end_processes(self) -> None:
+        """End all processes that are running, and forget all."""
+        for process in self._processes:
+            if process.pid is not None:  # it is started
+                process.terminate()
+        self._processes.clear()
+
+
 class Workers:
     """Worker processes for many jobs: started by the first job, stopped by the with statement."""
 
@@ -109,6 +130,7 @@ class Workers:
         self._prepare = prepare
         self._closing = ExitStack()
         self._pool: ProcessPool | None = None
+        self._context = _RecordingContext()
 
     def __enter__(self) -> Workers:
         # for the workers' temporary files, and each worker's stderr in a file named by its pid
@@ -173,6 +195,9 @@ class Workers:
     def _stop_pool(self) -> None:
         if self._pool is not None:
             self._pool.stop()  # type: ignore[no-untyped-call]
+            # The pool closes its channels before it ends its workers. One that is still starting
+            # would print a traceback when it finds them closed.
+            self._context.end_processes()
             self._pool.join()
             self._pool = None
 
@@ -183,7 +208,7 @@ class Workers:
             max_tasks=1 if is_isolated else 0,
             initializer=_set_up_worker,
             initargs=(os.getpid(), self._folder, self._limits.memory, self._prepare),
-            context=get_context("spawn"),
+            context=self._context,
         )
 
     def _run_in_pool(

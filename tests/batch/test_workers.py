@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -142,6 +143,28 @@ def test_workers_are_gone_when_the_jobs_are_left():
         pid = next(workers.run([("sleep", 0), ("sleep", 60)])).result
         assert is_there(pid)
     assert not is_there(pid)
+
+
+class WatchedPool(workers.ProcessPool):
+    """A pool that, before it is joined, waits until one child of this process is left."""
+
+    def join(self, timeout=None):
+        wait_until(lambda: len(multiprocessing.active_children()) == 1)
+        super().join(timeout)
+
+
+def test_workers_end_before_the_pool_closes_their_channels(monkeypatch):
+    """Else a worker that is still starting finds them closed, which prints a traceback."""
+    monkeypatch.setattr(workers, "ProcessPool", WatchedPool)
+    bystander = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,))
+    bystander.start()
+    try:
+        with Workers(crew_jobs.work, 2) as crew:
+            next(crew.run([("sleep", 0), ("sleep", 60)]))
+        assert multiprocessing.active_children() == [bystander]
+    finally:
+        bystander.terminate()
+        bystander.join()
 
 
 class TerminatedPool(workers.ProcessPool):
