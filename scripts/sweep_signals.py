@@ -317,6 +317,8 @@ def main() -> None:
     parser.add_argument("--signals", type=int, default=40, help="of each kind, to each part (40)")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
+    # A shell's background jobs ignore Ctrl-C, and so would the commands that are started here
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     random_ = random.Random(args.seed)
     failed = []
     for name in args.parts or PARTS[:-1]:
