@@ -16,31 +16,58 @@ from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
 
 @subkernel(**NO_REFCOUNT)
-def _find_joined_surface(surfaces, rule, surface, cell, axis, sign):
-    """Find the standable surface of the next cell that a step or slopes join to a surface.
+def _next_cell(lattice, cell, axis, sign):
+    """Return the id of a cell's neighbor along an axis; -1 at the border of the lattice.
+
+    Args:
+        lattice: the `Lattice`.
+        cell: the id of the cell.
+        axis: EAST or SOUTH.
+        sign: 1 for the neighbor in that direction, -1 for the one in the opposite direction.
+    """
+    if axis == EAST:
+        col = cell % lattice.width + sign
+        return cell + sign if 0 <= col < lattice.width else np.int64(-1)
+    neighbor = cell + sign * lattice.width
+    return neighbor if 0 <= neighbor < lattice.width * lattice.height else np.int64(-1)
+
+
+@subkernel(**NO_REFCOUNT)
+def _has_surface_within_step(surfaces, rule, surface, neighbor):
+    """Return whether a cell has any surface within a step of the height of a surface.
+
+    Args:
+        surfaces: the surfaces of all cells, as `Surfaces`.
+        rule: a `JoinRule`, which has the step.
+        surface: the id of a surface.
+        neighbor: the id of a cell next to that of the surface; -1 for none.
+    """
+    if neighbor < 0:
+        return False
+    for i in range(surfaces.first[neighbor], surfaces.end[neighbor]):
+        if abs(surfaces.z[i] - surfaces.z[surface]) <= rule.max_step + LIMIT_SLACK:
+            return True
+    return False
+
+
+@subkernel(**NO_REFCOUNT)
+def _find_joined_surface(surfaces, rule, surface, neighbor, axis, sign):
+    """Find the standable surface of a cell that a step or slopes join to one of the cell beside it.
 
     Args:
         surfaces: the surfaces of all cells, as `Surfaces`.
         rule: a `JoinRule`: the limits within which surfaces are connected, or else linked.
         surface: the id of a surface.
-        cell: the id of its cell.
+        neighbor: the id of the cell next to that of the surface; -1 for none.
         axis: EAST or SOUTH.
-        sign: 1 for the next cell in that direction, -1 for the next cell in the opposite direction.
+        sign: 1 if the neighbor lies in that direction, -1 if it lies in the opposite direction.
 
     Returns:
         The id of the surface, -1 for none; of several, the one nearest in height.
     """
-    lattice = surfaces.lattice
-    if axis == EAST:
-        col = cell % lattice.width + sign
-        if col < 0 or col >= lattice.width:
-            return np.int64(-1)
-        neighbor = cell + sign
-    else:
-        neighbor = cell + sign * lattice.width
-        if neighbor < 0 or neighbor >= lattice.width * lattice.height:
-            return np.int64(-1)
     nearest_surface = np.int64(-1)
+    if neighbor < 0:
+        return nearest_surface
     # a little more, as sums are rounded
     max_rise = max_rise_of(rule) + LIMIT_SLACK
     end_in_neighbor = surfaces.end[neighbor]
@@ -102,9 +129,9 @@ def list_narrow_runs(
     """List the places where regions are narrow: runs of at most `max_cells` cells.
 
     A run is a row of neighboring cells, or a column of them, whose surfaces are joined by steps or
-    slopes. No surface beyond its two ends is joined to it. Listed are the runs whose eastern or
-    southern end is in ``blocks[begin:end]``. This is a kernel for
-    `navbake.baker.core.blocks.list_rows`.
+    slopes. The cells beyond its two ends have no surface that is joined to it, and none within a
+    step, where the floor would go on. Listed are the runs whose eastern or southern end is in
+    ``blocks[begin:end]``. This is a kernel for `navbake.baker.core.blocks.list_rows`.
 
     Args:
         labelled_surfaces: a `LabelledSurfaces` with the regions whose runs are listed.
@@ -136,22 +163,28 @@ def list_narrow_runs(
                     for axis in range(SOUTH + 1):
                         if _is_likely_joined(surfaces, rule, j, row, cell, axis):
                             continue
-                        if _find_joined_surface(surfaces, rule, j, cell, axis, 1) >= 0:
+                        next_cell = _next_cell(surfaces.lattice, cell, axis, 1)
+                        if _has_surface_within_step(surfaces, rule, j, next_cell):
                             continue
-                        cell_stride = 1 if axis == EAST else width
+                        if _find_joined_surface(surfaces, rule, j, next_cell, axis, 1) >= 0:
+                            continue
                         num_cells = 1
                         end_surface = np.int64(j)
                         end_cell = cell
+                        next_cell = _next_cell(surfaces.lattice, cell, axis, -1)
                         while num_cells <= max_cells:
                             next_surface = _find_joined_surface(
-                                surfaces, rule, end_surface, end_cell, axis, -1
+                                surfaces, rule, end_surface, next_cell, axis, -1
                             )
                             if next_surface < 0:
                                 break
                             end_surface = next_surface
-                            end_cell -= cell_stride
+                            end_cell = next_cell
+                            next_cell = _next_cell(surfaces.lattice, end_cell, axis, -1)
                             num_cells += 1
                         if num_cells > max_cells:
+                            continue
+                        if _has_surface_within_step(surfaces, rule, end_surface, next_cell):
                             continue
                         if num_rows == rows.shape[0]:
                             return block_index
@@ -185,11 +218,10 @@ def list_surfaces_of_runs(surfaces, rule, runs, first_row_of_run, surface_cells,
     """
     for run in range(begin, end):
         axis = runs[run, 0]
-        cell_stride = 1 if axis == EAST else surfaces.lattice.width
         surface = runs[run, 2]
         cell = runs[run, 3]
         for k in range(runs[run, 1]):
             surface_cells[first_row_of_run[run] + k, 0] = surface
             surface_cells[first_row_of_run[run] + k, 1] = cell
+            cell = _next_cell(surfaces.lattice, cell, axis, -1)
             surface = _find_joined_surface(surfaces, rule, surface, cell, axis, -1)
-            cell -= cell_stride

@@ -105,7 +105,8 @@ def _mark_runs_between_drops(region_context: RegionContext, runs: Int) -> Bool:
 
     Args:
         region_context: all regions, and the hits of all columns.
-        runs: rows of cells, as `list_narrow_runs` lists them, shape (n, 6).
+        runs: rows of cells, as `list_narrow_runs` lists them, shape (n, 6): few, as rows between
+            walls have the floor within a step beyond their ends.
 
     Returns:
         A mask, shape (n,).
