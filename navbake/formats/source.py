@@ -156,16 +156,17 @@ def read_bytes(
                     f"expected {expected}, got {actual_text}", remedy, expected=expected
                 )
             # the size of a device or a pipe is 0
-            if path is not None and 0 < os.fstat(file.fileno()).st_size <= MAX_BYTES:
+            file_size = 0 if path is None else os.fstat(file.fileno()).st_size
+            if 0 < file_size <= MAX_BYTES:
                 file.seek(0)  # to join chunks takes longer than to read all again
                 return file.read(), name
             chunks = [content]
-            num_bytes = len(content)
-            while chunk := file.read(16 * FIRST_BYTES):
+            num_bytes = max(file_size, len(content))
+            while num_bytes <= MAX_BYTES and (chunk := file.read(16 * FIRST_BYTES)):
                 chunks.append(chunk)
                 num_bytes += len(chunk)
-                if num_bytes > MAX_BYTES:
-                    JsonPath(name).fail(f"more than {MAX_BYTES >> 20} MiB of data")
+            if num_bytes > MAX_BYTES:
+                JsonPath(name).fail(f"more than {MAX_BYTES >> 20} MiB of data")
             return b"".join(chunks), name
     except (OSError, ValueError) as error:  # ValueError: a NUL in a path, or the file is closed
         message = f"cannot read {format_path(name)}: {_format_system_error(error)}"
