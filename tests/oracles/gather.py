@@ -65,12 +65,14 @@ def _geoms_that_meet(tiled: TiledShapes, prism: Prism) -> dict[int, int]:
     for p, geom in enumerate(shapes.planes.geom.tolist()):
         if plane_meets_prism(shapes.planes, p, prism):
             found[geom] = MEETS
-    for t in _boxes_near(tiled.facets.bounds, prism, 2.0 * TOUCH_DEPTH):
+    corners = tiled.facets.corners
+    bounds = np.hstack([corners.min(axis=1), corners.max(axis=1)])
+    for t in _boxes_near(bounds, prism, 2.0 * TOUCH_DEPTH):
         edge = 2.0 * TOUCH_DEPTH if tiled.facets.closed[t] == OPEN_SURFACE else 0.0
-        if t not in _boxes_near(tiled.facets.bounds, prism, edge):
+        if t not in _boxes_near(bounds, prism, edge):
             continue
         asked = prism._replace(half_width=prism.half_width + edge)
-        if triangle_meets_prism(tiled.facets.corners[t], asked, POLYGONS):
+        if triangle_meets_prism(corners[t], asked, POLYGONS):
             found[int(tiled.facets.geom[t])] = MEETS
     for s in _boxes_near(shapes.solids.bounds, prism, 0.0):
         answer = solid_meets_prism(shapes.solids, s, prism, SIMPLEX)

@@ -10,10 +10,11 @@ from navbake.navgrid.lattice import Lattice
 from navbake.processes import measure_free_memory
 
 LOG = logging.getLogger(__name__)
-# Measured on bakes of 16 million cells, of 8 million triangles, and of 32 million triangles that
-# are expanded chunk by chunk; a bake of many levels takes more [bytes]
+# Measured on bakes of 16 million cells, of 2 million triangles in many meshes (those in one mesh
+# take half as much), and of 32 million triangles that are expanded chunk by chunk; a bake of many
+# levels takes more [bytes]
 BYTES_PER_CELL = 130
-BYTES_PER_TRIANGLE = 200
+BYTES_PER_TRIANGLE = 130
 BYTES_PER_TRIANGLE_ON_REQUEST = 45
 GB = 1e9  # [bytes]
 

@@ -44,7 +44,7 @@ from navbake.types import Bool, Int, Int32
 MAX_CELLS_IN_MEMORY = 1 << 22
 # How many chunks of rows are in memory at a time: the one that the caller works on, and the next
 CHUNKS_IN_MEMORY = 2
-# Up to this many triangles are expanded once and stay in memory: about 130 bytes each
+# Up to this many triangles are expanded once and stay in memory: about 60 bytes each
 MAX_TRIANGLES_EXPANDED_AT_ONCE = 1 << 20
 # More triangles than this are expanded chunk by chunk also where columns stay in memory
 MAX_TRIANGLES_BESIDE_COLUMNS = 1 << 23
@@ -119,7 +119,7 @@ class ChunkedShapes:
             is_near: marks the meshes whose triangles are listed, shape (meshes,).
         """
         facets = self._shapes.meshes.only(is_near).expand()
-        tile_start, facet_indices_by_tile = list_by_tile(facets.bounds, self._margin, self.lattice)
+        tile_start, facet_indices_by_tile = list_by_tile(facets, self._margin, self.lattice)
         tile_index = self._solids.tile_index._replace(
             triangle_start=tile_start, triangle_indices=facet_indices_by_tile
         )

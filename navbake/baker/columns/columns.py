@@ -19,7 +19,7 @@ from navbake.baker.columns.ray_kernels import LINES_PER_CALL, Geometry, Lines, c
 from navbake.baker.core.arrays import ColumnHits, Facets, HeightRange, ShapeIndex
 from navbake.baker.core.blocks import join_arrays
 from navbake.baker.core.tiles import TILE, list_boxes_by_tile
-from navbake.baker.geometry.shapes import Shapes
+from navbake.baker.geometry.shapes import Shapes, boxes_in_batches
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import num_threads, run_in_chunks
 from navbake.types import Float, Int, Int32
@@ -125,9 +125,7 @@ class TiledShapes:
         solid_start, solid_indices = list_by_tile_row(
             self.shapes.solids.bounds, RIM_WIDTH, self.lattice
         )
-        triangle_start, triangle_indices = list_by_tile_row(
-            self.facets.bounds, RIM_WIDTH, self.lattice
-        )
+        triangle_start, triangle_indices = list_by_tile_row(self.facets, RIM_WIDTH, self.lattice)
         return ShapeIndex(solid_start, solid_indices, triangle_start, triangle_indices)
 
     @property
@@ -340,7 +338,7 @@ def tile_shapes(
     """
     facets = shapes.triangles if facets is None else facets
     solid_start, solid_indices = list_by_tile(shapes.solids.bounds, margin, lattice)
-    triangle_start, triangle_indices = list_by_tile(facets.bounds, margin, lattice)
+    triangle_start, triangle_indices = list_by_tile(facets, margin, lattice)
     tile_index = ShapeIndex(solid_start, solid_indices, triangle_start, triangle_indices)
     return TiledShapes(shapes, lattice, facets, tile_index)
 
@@ -585,11 +583,12 @@ def tile_of(lattice: Lattice, cell: Int | int) -> Int:
     return tile
 
 
-def list_by_tile(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int, Int32]:
+def list_by_tile(boxes: Float | Facets, margin: float, lattice: Lattice) -> tuple[Int, Int32]:
     """List, for each tile, the boxes that reach into it.
 
     Args:
-        boxes: lower corner, upper corner, shape (n, 6) [m].
+        boxes: lower corner, upper corner, shape (n, 6) [m]; or triangles, for the boxes around
+            them.
         margin: how much the boxes are widened on each side [m].
         lattice: the cells.
 
@@ -602,11 +601,12 @@ def list_by_tile(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int, In
     return _list_boxes(boxes, margin, lattice, num_tiles, by_tile_row=False)
 
 
-def list_by_tile_row(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int, Int32]:
+def list_by_tile_row(boxes: Float | Facets, margin: float, lattice: Lattice) -> tuple[Int, Int32]:
     """List, for each row of tiles, the boxes that lie over the centre of a cell there.
 
     Args:
-        boxes: lower corner, upper corner, shape (n, 6) [m].
+        boxes: lower corner, upper corner, shape (n, 6) [m]; or triangles, for the boxes around
+            them.
         margin: how much the boxes are widened on each side [m].
         lattice: the cells.
 
@@ -620,12 +620,13 @@ def list_by_tile_row(boxes: Float, margin: float, lattice: Lattice) -> tuple[Int
 
 
 def _list_boxes(
-    boxes: Float, margin: float, lattice: Lattice, num_tiles: int, *, by_tile_row: bool
+    boxes: Float | Facets, margin: float, lattice: Lattice, num_tiles: int, *, by_tile_row: bool
 ) -> tuple[Int, Int32]:
     """List boxes by tile, or by row of tiles, on all threads.
 
     Args:
-        boxes: lower corner, upper corner, shape (n, 6) [m].
+        boxes: lower corner, upper corner, shape (n, 6) [m]; or triangles, for the boxes around
+            them.
         margin: how much the boxes are widened on each side [m].
         lattice: the cells.
         num_tiles: how many tiles the lattice has, or how many rows of tiles.
@@ -637,35 +638,59 @@ def _list_boxes(
         int64; and the indices of the boxes, list by list, ``indices``, int32. The list of tile t is
         ascending: ``indices[start[t] : start[t + 1]]``.
     """
-    if not len(boxes):
+    num_boxes = len(boxes.faces) if isinstance(boxes, Facets) else len(boxes)
+    if not num_boxes:
         return np.zeros(num_tiles + 1, dtype=np.int64), np.empty(0, dtype=np.int32)
     thread_count = num_threads()
     num_chunks = 1
-    if thread_count > 1 and len(boxes) > MIN_BOXES_PER_TILE_FOR_THREADS * num_tiles:
+    if thread_count > 1 and num_boxes > MIN_BOXES_PER_TILE_FOR_THREADS * num_tiles:
         # no more counts than boxes, however many threads there are
-        num_chunks = min(BOX_CHUNKS_PER_THREAD * thread_count, len(boxes) // num_tiles)
+        num_chunks = min(BOX_CHUNKS_PER_THREAD * thread_count, num_boxes // num_tiles)
     next_list_index = np.zeros((num_chunks, num_tiles), dtype=np.int64)
-    tile_range_of_box = np.empty((len(boxes), 4), dtype=np.int32)
+    tile_range_of_box = np.empty((num_boxes, 4), dtype=np.int32)
 
-    def list_boxes(box_indices_by_tile: Int32) -> None:
-        run_in_chunks(
-            list_boxes_by_tile,
-            num_chunks,
-            boxes,
-            margin,
-            lattice,
-            by_tile_row,
-            tile_range_of_box,
-            next_list_index,
-            box_indices_by_tile,
-        )
+    def count_boxes(first_chunk: int, end_chunk: int) -> None:
+        for chunk in range(first_chunk, end_chunk):
+            first_box = num_boxes * chunk // num_chunks
+            end_box = num_boxes * (chunk + 1) // num_chunks
+            if isinstance(boxes, Facets):
+                batches = boxes_in_batches(boxes, first_box, end_box)
+            else:
+                batches = iter([(slice(first_box, end_box), boxes[first_box:end_box])])
+            for batch, boxes_of_batch in batches:
+                list_boxes_by_tile(
+                    boxes_of_batch,
+                    margin,
+                    lattice,
+                    by_tile_row,
+                    tile_range_of_box[batch],
+                    next_list_index[chunk],
+                    batch.start,
+                    np.empty(0, dtype=np.int32),  # without room, the boxes are only counted
+                )
 
-    list_boxes(np.empty(0, dtype=np.int32))  # without room, the boxes are only counted
+    run_in_chunks(count_boxes, num_chunks)
     tile_start = np.zeros(num_tiles + 1, dtype=np.int64)
     np.cumsum(next_list_index.sum(axis=0), out=tile_start[1:])
     # each chunk's boxes over a tile follow those of the chunks before it
     next_list_index[:] = np.cumsum(next_list_index, axis=0) - next_list_index + tile_start[:-1]
     box_indices_by_tile = np.empty(tile_start[-1], dtype=np.int32)
+
+    def list_boxes(first_chunk: int, end_chunk: int) -> None:
+        for chunk in range(first_chunk, end_chunk):
+            first_box = num_boxes * chunk // num_chunks
+            end_box = num_boxes * (chunk + 1) // num_chunks
+            list_boxes_by_tile(
+                np.empty((0, 6)),
+                margin,
+                lattice,
+                by_tile_row,
+                tile_range_of_box[first_box:end_box],
+                next_list_index[chunk],
+                first_box,
+                box_indices_by_tile,
+            )
+
     if len(box_indices_by_tile):
-        list_boxes(box_indices_by_tile)
+        run_in_chunks(list_boxes, num_chunks)
     return tile_start, box_indices_by_tile

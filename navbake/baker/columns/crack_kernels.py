@@ -110,13 +110,15 @@ def _write_piece(solids, facets, shape_number, face_axis, min_normal_z, corners)
         belongs to the piece, 0 for triangles and boxes [m].
     """
     if face_axis < 0:
-        triangle_corners = facets.corners[shape_number]
-        ux = triangle_corners[1, 0] - triangle_corners[0, 0]
-        uy = triangle_corners[1, 1] - triangle_corners[0, 1]
-        uz = triangle_corners[1, 2] - triangle_corners[0, 2]
-        vx = triangle_corners[2, 0] - triangle_corners[0, 0]
-        vy = triangle_corners[2, 1] - triangle_corners[0, 1]
-        vz = triangle_corners[2, 2] - triangle_corners[0, 2]
+        for i in range(3):
+            for k in range(3):
+                corners[i, k] = facets.vertices[facets.faces[shape_number, i], k]
+        ux = corners[1, 0] - corners[0, 0]
+        uy = corners[1, 1] - corners[0, 1]
+        uz = corners[1, 2] - corners[0, 2]
+        vx = corners[2, 0] - corners[0, 0]
+        vy = corners[2, 1] - corners[0, 1]
+        vz = corners[2, 2] - corners[0, 2]
         normal_x = uy * vz - uz * vy
         normal_y = uz * vx - ux * vz
         normal_z = ux * vy - uy * vx
@@ -124,9 +126,6 @@ def _write_piece(solids, facets, shape_number, face_axis, min_normal_z, corners)
             normal_x * normal_x + normal_y * normal_y + normal_z * normal_z
         ):
             return 0, 0.0
-        for i in range(3):
-            for k in range(3):
-                corners[i, k] = triangle_corners[i, k]
         return 3, 0.0
     pos = solids.pos[shape_number]
     mat = solids.mat[shape_number]
@@ -389,10 +388,6 @@ def _list_in_tile(
         num_faces = 0
         if entry >= end_of_solid_entries:
             shape_number = np.int64(tile_index.triangle_indices[entry + triangle_entry_shift])
-            if facets.normal_z_percent[shape_number] < max(
-                100.0 * limits.min_normal_z - 1.0, 1.0
-            ):  # rounded
-                continue
         else:
             shape_number = np.int64(tile_index.solid_indices[entry])
             face_axis = 0
@@ -400,22 +395,15 @@ def _list_in_tile(
         while face_axis < num_faces:
             if num_sides + num_candidate_sides + TILE * TILE > candidate_sides.shape[0]:
                 return -1
-            # most triangles have floor all around: corners are written only where there is none
-            num_corners = -1
-            radius = 0.0
-            if entry >= end_of_solid_entries:
-                for k in range(6):
-                    box[0, k] = facets.bounds[shape_number, k]
-            else:
-                num_corners, radius = _write_piece(
-                    solids, facets, shape_number, face_axis, limits.min_normal_z, corners
-                )
-                for k in range(3):
-                    box[0, k] = math.inf
-                    box[0, 3 + k] = -math.inf
-                    for i in range(num_corners):
-                        box[0, k] = min(box[0, k], corners[i, k])
-                        box[0, 3 + k] = max(box[0, 3 + k], corners[i, k])
+            num_corners, radius = _write_piece(
+                solids, facets, shape_number, face_axis, limits.min_normal_z, corners
+            )
+            for k in range(3):
+                box[0, k] = math.inf
+                box[0, 3 + k] = -math.inf
+                for i in range(num_corners):
+                    box[0, k] = min(box[0, k], corners[i, k])
+                    box[0, 3 + k] = max(box[0, 3 + k], corners[i, k])
             # a line over the piece mostly has a floor near all of its heights: the piece itself
             middle_z = (box[0, 2] + box[0, 5]) / 2.0
             max_height_difference = max_step - (box[0, 5] - box[0, 2]) / 2.0
@@ -435,12 +423,6 @@ def _list_in_tile(
                     if not (is_selected.shape[0] == 0 or is_selected[cell]) or _has_floor(
                         column_hits, cell, middle_z, max_height_difference, limits.min_normal_z
                     ):
-                        continue
-                    if num_corners < 0:
-                        num_corners, _ = _write_piece(
-                            solids, facets, shape_number, face_axis, limits.min_normal_z, corners
-                        )
-                    if num_corners == 0:
                         continue
                     x, y = cell_center_at(lattice, row, col)
                     distance = _horizontal_distance(

@@ -13,6 +13,11 @@ from navbake.baker.columns.hit_kernels import RIM_WIDTH, allocate_hits
 from navbake.baker.columns.raster_kernels import cross_triangle, find_edge_limits, is_beside
 from navbake.baker.columns.ray_kernels import allocate_ray, hit_plane, hit_solid
 from navbake.baker.core.tiles import TILE, tile_window, window_near_box
+from navbake.baker.geometry.triangle_kernels import (
+    allocate_triangle,
+    copy_triangle,
+    unit_normal,
+)
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int
 
@@ -60,7 +65,7 @@ def _find_lines_of_cells(lattice, lines, first_line, end_line, window, line_star
 
 @subkernel(**NO_REFCOUNT)
 def _raise_ground_to_triangles(
-    lattice, facets, triangles, lines, max_rise, window, line_start, rise, edge_rise
+    lattice, facets, triangles, lines, max_rise, window, line_start, triangle_copy, rise, edge_rise
 ):
     """Raise the ground of a tile's lines to the triangles that they cross.
 
@@ -72,11 +77,13 @@ def _raise_ground_to_triangles(
         max_rise: how far ground is above or below the line's height at most [m].
         window: window of the tile's cells, see `tile_window`.
         line_start: the index of the first line of each cell, see `_find_lines_of_cells`.
+        triangle_copy: room for a copy of a triangle.
         rise: for each line, how far the ground is above the line's height, -inf for none, (n,) [m];
             raised to crossings inside of triangles.
         edge_rise: the same, raised to crossings at edges of triangles.
     """
-    bounds = facets.bounds
+    corners = triangle_copy.corners
+    box = triangle_copy.box
     first_line = line_start[0]
     end_line = line_start[TILE * TILE]
     low_z = np.inf
@@ -87,26 +94,21 @@ def _raise_ground_to_triangles(
     reach = 0.5 * lattice.cell_size + RIM_WIDTH
     for entry in range(triangles.shape[0]):
         triangle = triangles[entry]
-        if (
-            facets.normal_z_percent[triangle] <= 0
-            or bounds[triangle, 5] - low_z < -max_rise
-            or bounds[triangle, 2] - high_z > max_rise
-        ):
+        copy_triangle(facets, triangle, triangle_copy)
+        if box[0, 5] - low_z < -max_rise or box[0, 2] - high_z > max_rise:
             continue
-        row_first, row_end, col_first, col_end = window_near_box(
-            lattice, window, bounds, triangle, reach
-        )
-        if col_first >= col_end:
+        row_first, row_end, col_first, col_end = window_near_box(lattice, window, box, 0, reach)
+        if col_first >= col_end or unit_normal(corners[0], corners[1], corners[2])[2] <= 0.0:
             continue
-        edge_limits = find_edge_limits(facets.corners, triangle)
+        edge_limits = find_edge_limits(corners)
         for row in range(row_first, row_end):
             first_cell = (row - window[0]) * TILE - window[2]
             for line in range(line_start[first_cell + col_first], line_start[first_cell + col_end]):
                 x = lines.points[line, 0]
                 y = lines.points[line, 1]
-                if is_beside(bounds, triangle, x, y):
+                if is_beside(box, 0, x, y):
                     continue
-                crossing_kind, z = cross_triangle(facets.corners, triangle, x, y, edge_limits)
+                crossing_kind, z = cross_triangle(corners, x, y, edge_limits)
                 if crossing_kind == 0 or abs(z - lines.z[line]) > max_rise:
                     continue
                 if crossing_kind == 1:
@@ -160,6 +162,7 @@ def raise_ground(
     ray = allocate_ray()
     hits = allocate_hits(2)
     first_hit = np.int64(0)
+    triangle_copy = allocate_triangle()
     line_start = np.empty(TILE * TILE + 1, np.int64)
     for i in range(first_tile, end_tile):
         tile = lines.tiles[i]
@@ -186,6 +189,7 @@ def raise_ground(
             max_rise,
             window,
             line_start,
+            triangle_copy,
             rise,
             edge_rise,
         )

@@ -184,12 +184,18 @@ def _steepest_of_part(hits, first_hit, end_hit, hit, facets, facing_sign):
     The line has the hits ``first_hit:end_hit``. Only triangles that face up count if `facing_sign`
     is 1, only those that face down if it is -1. Returns the index of the hit, -1 for none.
     """
+    vertices = facets.vertices
+    faces = facets.faces
     steepest_hit = np.int64(-1)
     least_normal_z = 0.0
     for j in range(first_hit, end_hit):
         if not hits.is_at_edge[j] or not _is_same_part(hits, hit, j, facets):
             continue
-        normal_z = facing_sign * unit_normal(facets.corners, hits.facet[j])[2]
+        triangle = hits.facet[j]
+        normal = unit_normal(
+            vertices[faces[triangle, 0]], vertices[faces[triangle, 1]], vertices[faces[triangle, 2]]
+        )
+        normal_z = facing_sign * normal[2]
         if normal_z > 0.0 and (steepest_hit < 0 or normal_z < least_normal_z):
             steepest_hit = np.int64(j)
             least_normal_z = normal_z

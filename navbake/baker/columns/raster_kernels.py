@@ -16,7 +16,7 @@ import numpy as np
 
 from navbake.baker.columns.hit_kernels import AT_EDGE, INSIDE, RIM_WIDTH
 from navbake.baker.core.tiles import cell_center, find_centers_between
-from navbake.baker.geometry.triangle_kernels import unit_normal
+from navbake.baker.geometry.triangle_kernels import copy_triangle, unit_normal
 from navbake.compiled import NO_REFCOUNT, subkernel
 
 # For edges shorter than this, the distance is always computed [m]
@@ -44,41 +44,41 @@ def is_beside(boxes, box, x, y):
 
 
 @subkernel(inline="always")
-def _edge_limit(corners, triangle, first_corner, second_corner):
+def _edge_limit(corners, first_corner, second_corner):
     """Return the edge function of points at twice RIM_WIDTH from a triangle's edge.
 
     The edge function of a point is its distance to the edge times the edge's length [m²]. For an
     edge shorter than SHORT_EDGE, inf is returned.
     """
-    dx = corners[triangle, second_corner, 0] - corners[triangle, first_corner, 0]
-    dy = corners[triangle, second_corner, 1] - corners[triangle, first_corner, 1]
+    dx = corners[second_corner, 0] - corners[first_corner, 0]
+    dy = corners[second_corner, 1] - corners[first_corner, 1]
     length = math.sqrt(dx * dx + dy * dy)
     return 2.0 * RIM_WIDTH * length if length > SHORT_EDGE else np.inf
 
 
 @subkernel(inline="always")
-def find_edge_limits(corners, triangle):
+def find_edge_limits(corners):
     """Return the `_edge_limit` of the edges opposite to corners 0, 1 and 2 of a triangle [m²]."""
     return (
-        _edge_limit(corners, triangle, 1, 2),
-        _edge_limit(corners, triangle, 2, 0),
-        _edge_limit(corners, triangle, 0, 1),
+        _edge_limit(corners, 1, 2),
+        _edge_limit(corners, 2, 0),
+        _edge_limit(corners, 0, 1),
     )
 
 
 @subkernel(inline="always")
-def cross_triangle(corners, triangle, x, y, edge_limits):
+def cross_triangle(corners, x, y, edge_limits):
     """Return whether the vertical line at (x, y) crosses a triangle, and at which height [m].
 
     The first number is 0 for no crossing, 1 for a crossing inside, 2 for a crossing at most
     RIM_WIDTH from an edge. `edge_limits` are the triangle's, see `find_edge_limits`.
     """
-    ax = corners[triangle, 0, 0] - x
-    ay = corners[triangle, 0, 1] - y
-    bx = corners[triangle, 1, 0] - x
-    by = corners[triangle, 1, 1] - y
-    cx = corners[triangle, 2, 0] - x
-    cy = corners[triangle, 2, 1] - y
+    ax = corners[0, 0] - x
+    ay = corners[0, 1] - y
+    bx = corners[1, 0] - x
+    by = corners[1, 1] - y
+    cx = corners[2, 0] - x
+    cy = corners[2, 1] - y
     area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
     if abs(area) < 1e-14:
         return 0, 0.0
@@ -108,9 +108,9 @@ def cross_triangle(corners, triangle, x, y, edge_limits):
             return 0, 0.0
         if least_distance <= RIM_WIDTH:
             crossing_kind = 2
-    z0 = corners[triangle, 0, 2]
-    z1 = corners[triangle, 1, 2]
-    z2 = corners[triangle, 2, 2]
+    z0 = corners[0, 2]
+    z1 = corners[1, 2]
+    z2 = corners[2, 2]
     z = (edge_function_a * z0 + edge_function_b * z1 + edge_function_c * z2) / (
         edge_function_a + edge_function_b + edge_function_c
     )
@@ -119,15 +119,12 @@ def cross_triangle(corners, triangle, x, y, edge_limits):
 
 
 @subkernel(inline="always")
-def hit_triangle(
-    corners, corners_index, facets, facet_index, x, y, edge_limits, hits, hit_index, is_writing
-):
+def hit_triangle(corners, facets, facet_index, x, y, edge_limits, hits, hit_index, is_writing):
     """Intersect a line with a triangle that isn't vertical; write the hit if `is_writing`.
 
     Args:
-        corners: corners of triangles in a frame in which the line is vertical, (…, 3, 3) float64
+        corners: the triangle's corners in a frame in which the line is vertical, (3, 3) float64
             [m].
-        corners_index: index of the triangle in `corners`.
         facets: the triangles in the world frame.
         facet_index: index of the triangle in `facets`.
         x, y: the line [m].
@@ -142,12 +139,12 @@ def hit_triangle(
     Returns:
         The number of hits, 0 or 1.
     """
-    crossing_kind, z = cross_triangle(corners, corners_index, x, y, edge_limits)
+    crossing_kind, z = cross_triangle(corners, x, y, edge_limits)
     if crossing_kind == 0:
         return 0
     if not is_writing:
         return 1
-    nx, ny, nz = unit_normal(corners, corners_index)
+    nx, ny, nz = unit_normal(corners[0], corners[1], corners[2])
     hits.z[hit_index] = z
     hits.normal[hit_index, 0] = nx
     hits.normal[hit_index, 1] = ny
@@ -160,27 +157,27 @@ def hit_triangle(
 
 
 @subkernel(inline="always")
-def _span_of_row(corners, triangle, x_low, x_high, y, edge_limits):
+def _span_of_row(corners, x_low, x_high, y, edge_limits):
     """Return the range of x between x_low and x_high in which lines at y may cross a triangle [m].
 
     Edge functions are linear along a row of cells, so each edge bounds the range.
     """
-    x0 = corners[triangle, 0, 0]
-    y0 = corners[triangle, 0, 1]
-    area = (corners[triangle, 1, 0] - x0) * (corners[triangle, 2, 1] - y0)
-    area -= (corners[triangle, 2, 0] - x0) * (corners[triangle, 1, 1] - y0)
+    x0 = corners[0, 0]
+    y0 = corners[0, 1]
+    area = (corners[1, 0] - x0) * (corners[2, 1] - y0)
+    area -= (corners[2, 0] - x0) * (corners[1, 1] - y0)
     winding_sign = 1.0 if area > 0.0 else -1.0
     span_low = x_low
     span_high = x_high
     for k in range(3):
         i = (k + 1) % 3
         j = (k + 2) % 3
-        bx = corners[triangle, i, 0] - x_low
-        by = corners[triangle, i, 1] - y
-        cx = corners[triangle, j, 0] - x_low
-        cy = corners[triangle, j, 1] - y
+        bx = corners[i, 0] - x_low
+        by = corners[i, 1] - y
+        cx = corners[j, 0] - x_low
+        cy = corners[j, 1] - y
         edge_function_at_low = winding_sign * (bx * cy - cx * by)
-        edge_function_slope = winding_sign * (corners[triangle, i, 1] - corners[triangle, j, 1])
+        edge_function_slope = winding_sign * (corners[i, 1] - corners[j, 1])
         if edge_function_slope > 0.0:
             span_low = max(
                 span_low, x_low - (edge_function_at_low + edge_limits[k]) / edge_function_slope
@@ -193,7 +190,9 @@ def _span_of_row(corners, triangle, x_low, x_high, y, edge_limits):
 
 
 @subkernel(**NO_REFCOUNT)
-def raster_triangles(facets, triangles, is_crossed, lattice, rows, hits, next_hit, is_writing):
+def raster_triangles(
+    facets, triangles, is_crossed, lattice, rows, triangle_copy, hits, next_hit, is_writing
+):
     """Write where the vertical lines through cells' centres cross triangles.
 
     Args:
@@ -203,13 +202,14 @@ def raster_triangles(facets, triangles, is_crossed, lattice, rows, hits, next_hi
             counting, read while writing.
         lattice: the cells, as `Lattice`.
         rows: the first row to cast lines in, and the row after the last one.
+        triangle_copy: room for a copy of a triangle.
         hits: `LineHits` of the rows' lines.
         next_hit: for each line of the rows, where its next hit goes in `hits`, int64; advanced by 1
             for each hit.
         is_writing: whether to write hits; else they are only counted.
     """
-    corners = facets.corners
-    bounds = facets.bounds
+    corners = triangle_copy.corners
+    box = triangle_copy.box
     y_max = lattice.y_max
     x_min = lattice.x_min
     cell_size = lattice.cell_size
@@ -218,34 +218,34 @@ def raster_triangles(facets, triangles, is_crossed, lattice, rows, hits, next_hi
     for list_index in range(triangles.shape[0]):
         triangle = triangles[list_index]
         num_hits_of_triangle = 0
-        if (is_writing and not is_crossed[list_index]) or (
-            not is_writing and facets.normal_z_percent[triangle] == 0
-        ):
+        if is_writing and not is_crossed[list_index]:
+            continue
+        copy_triangle(facets, triangle, triangle_copy)
+        if unit_normal(corners[0], corners[1], corners[2])[2] == 0.0:
             is_crossed[list_index] = False
             continue
-        y_high = bounds[triangle, 4] + RIM_WIDTH
-        y_low = bounds[triangle, 1] - RIM_WIDTH
+        y_high = box[0, 4] + RIM_WIDTH
+        y_low = box[0, 1] - RIM_WIDTH
         first_row, last_row = find_centers_between(y_max - y_high, y_max - y_low, cell_size, height)
-        x_low = bounds[triangle, 0] - RIM_WIDTH
-        x_high = bounds[triangle, 3] + RIM_WIDTH
+        x_low = box[0, 0] - RIM_WIDTH
+        x_high = box[0, 3] + RIM_WIDTH
         first_col, last_col = find_centers_between(x_low - x_min, x_high - x_min, cell_size, width)
         needs_spans = last_col - first_col >= MIN_COLUMNS_FOR_SPANS
-        edge_limits = find_edge_limits(corners, triangle)
+        edge_limits = find_edge_limits(corners)
         for row in range(max(first_row, rows[0]), min(last_row, rows[1] - 1) + 1):
             y = cell_center(lattice, row * width)[1]
             if needs_spans:
-                span_low, span_high = _span_of_row(corners, triangle, x_low, x_high, y, edge_limits)
+                span_low, span_high = _span_of_row(corners, x_low, x_high, y, edge_limits)
                 first_col, last_col = find_centers_between(
                     span_low - x_min, span_high - x_min, cell_size, width
                 )
             for col in range(first_col, last_col + 1):
                 x = cell_center(lattice, col)[0]
-                if not is_beside(bounds, triangle, x, y):
+                if not is_beside(box, 0, x, y):
                     line = (row - rows[0]) * width + col
                     hit_index = next_hit[line] if is_writing else 0
                     num_hits = hit_triangle(
                         corners,
-                        triangle,
                         facets,
                         triangle,
                         x,

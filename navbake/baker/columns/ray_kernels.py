@@ -41,7 +41,7 @@ from navbake.baker.columns.raster_kernels import (
 from navbake.baker.core.arrays import Facets, HeightRange, Planes, Solids
 from navbake.baker.core.constants import BOX, CONVEX_SOLID, CYLINDER, OPEN_SURFACE, PLANE, SPHERE
 from navbake.baker.core.tiles import TILE, cell_center, find_centers_between
-from navbake.baker.geometry.triangle_kernels import unit_normal
+from navbake.baker.geometry.triangle_kernels import allocate_triangle, unit_normal
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int
 
@@ -459,6 +459,7 @@ def _cast_tile_row(
         is_crossed[first_entry:end_entry],
         lattice,
         rows,
+        allocate_triangle(),
         hits,
         next_hit,
         is_writing,
@@ -466,15 +467,19 @@ def _cast_tile_row(
 
 
 @subkernel(inline="always")
-def _project_triangle(axes, axis, corners, triangle):
+def _project_triangle(axes, axis, facets, triangle):
     """Return the coordinates of a triangle's three corners along an axis of a frame [m]."""
     x = axes[axis, 0]
     y = axes[axis, 1]
     z = axes[axis, 2]
+    vertices = facets.vertices
+    a = facets.faces[triangle, 0]
+    b = facets.faces[triangle, 1]
+    c = facets.faces[triangle, 2]
     return (
-        x * corners[triangle, 0, 0] + y * corners[triangle, 0, 1] + z * corners[triangle, 0, 2],
-        x * corners[triangle, 1, 0] + y * corners[triangle, 1, 1] + z * corners[triangle, 1, 2],
-        x * corners[triangle, 2, 0] + y * corners[triangle, 2, 1] + z * corners[triangle, 2, 2],
+        x * vertices[a, 0] + y * vertices[a, 1] + z * vertices[a, 2],
+        x * vertices[b, 0] + y * vertices[b, 1] + z * vertices[b, 2],
+        x * vertices[c, 0] + y * vertices[c, 1] + z * vertices[c, 2],
     )
 
 
@@ -494,41 +499,42 @@ def _box_of_points(points):
 
 
 @subkernel(inline="always")
-def _project_near_box(corners, triangle, box, axes, local_corners):
+def _project_near_box(facets, triangle, box, axes, local_corners):
     """Compute a triangle's corners in a frame, if vertical lines of a box there may cross it.
 
     Args:
-        corners: corners of triangles, world frame, (m, 3, 3) [m].
+        facets: the triangles, as `Facets`.
         triangle: index of the triangle.
         box: least x, least y, greatest x and greatest y of the lines in the frame [m].
         axes: the axes of the frame, one in each row, (3, 3).
-        local_corners: receives the triangle's corners in the frame, (1, 3, 3) [m].
+        local_corners: receives the triangle's corners in the frame, (3, 3) [m].
 
     Returns:
         Whether any of the lines may cross the triangle; then the box of the points at most
         RIM_WIDTH from it: least x, least y, greatest x and greatest y [m].
     """
-    x0, x1, x2 = _project_triangle(axes, X, corners, triangle)
+    x0, x1, x2 = _project_triangle(axes, X, facets, triangle)
     x_low = min(x0, x1, x2) - RIM_WIDTH
     x_high = max(x0, x1, x2) + RIM_WIDTH
     if box[2] < x_low or box[0] > x_high:  # true for most triangles
         return False, x_low, 0.0, x_high, 0.0
-    y0, y1, y2 = _project_triangle(axes, Y, corners, triangle)
+    y0, y1, y2 = _project_triangle(axes, Y, facets, triangle)
     y_low = min(y0, y1, y2) - RIM_WIDTH
     y_high = max(y0, y1, y2) + RIM_WIDTH
     if box[3] < y_low or box[1] > y_high:
         return False, x_low, y_low, x_high, y_high
-    z0, z1, z2 = _project_triangle(axes, Z, corners, triangle)
-    local_corners[0, 0, X] = x0
-    local_corners[0, 1, X] = x1
-    local_corners[0, 2, X] = x2
-    local_corners[0, 0, Y] = y0
-    local_corners[0, 1, Y] = y1
-    local_corners[0, 2, Y] = y2
-    local_corners[0, 0, Z] = z0
-    local_corners[0, 1, Z] = z1
-    local_corners[0, 2, Z] = z2
-    return unit_normal(local_corners, 0)[2] != 0.0, x_low, y_low, x_high, y_high
+    z0, z1, z2 = _project_triangle(axes, Z, facets, triangle)
+    local_corners[0, X] = x0
+    local_corners[1, X] = x1
+    local_corners[2, X] = x2
+    local_corners[0, Y] = y0
+    local_corners[1, Y] = y1
+    local_corners[2, Y] = y2
+    local_corners[0, Z] = z0
+    local_corners[1, Z] = z1
+    local_corners[2, Z] = z2
+    normal_z = unit_normal(local_corners[0], local_corners[1], local_corners[2])[2]
+    return normal_z != 0.0, x_low, y_low, x_high, y_high
 
 
 @subkernel(**NO_REFCOUNT)
@@ -550,31 +556,23 @@ def _cast_at_triangles(
         facets: the triangles, as `Facets`.
         triangles: indices into `facets` of those to cross.
         lines: the lines, as `Lines`.
-        local_corners: room for a triangle's corners, (1, 3, 3).
+        local_corners: room for a triangle's corners, (3, 3).
         hits: `LineHits` to write into.
         next_hit: for each line, where its next hit goes in `hits`, int64; advanced by 1 for each
             hit.
         is_writing: whether to write hits; else they are only counted.
     """
-    bounds = facets.bounds
     points = lines.points
     is_rotated = lines.axes[0, 0] != 1.0 or lines.axes[2, 2] != 1.0
     box = _box_of_points(points)
     for entry in range(triangles.shape[0]):
         triangle = triangles[entry]
-        if not is_rotated and (
-            box[2] < bounds[triangle, 0] - RIM_WIDTH
-            or box[0] > bounds[triangle, 3] + RIM_WIDTH
-            or box[3] < bounds[triangle, 1] - RIM_WIDTH
-            or box[1] > bounds[triangle, 4] + RIM_WIDTH
-        ):
-            continue
         is_near, x_low, y_low, x_high, y_high = _project_near_box(
-            facets.corners, triangle, box, lines.axes, local_corners
+            facets, triangle, box, lines.axes, local_corners
         )
         if not is_near:
             continue
-        edge_limits = find_edge_limits(local_corners, 0)
+        edge_limits = find_edge_limits(local_corners)
         for line in range(points.shape[0]):
             x = points[line, 0]
             y = points[line, 1]
@@ -582,7 +580,7 @@ def _cast_at_triangles(
                 continue
             hit_index = next_hit[line]
             num_hits = hit_triangle(
-                local_corners, 0, facets, triangle, x, y, edge_limits, hits, hit_index, is_writing
+                local_corners, facets, triangle, x, y, edge_limits, hits, hit_index, is_writing
             )
             if num_hits > 0 and is_writing and is_rotated:
                 # a triangle over two of the lines' tiles is hit twice, so such hits cannot say
@@ -611,7 +609,7 @@ def _cast_at_points(
         tile_index: the shapes over each tile.
         lines: the lines, as `Lines`.
         ray: a `Ray` to cast.
-        local_corners: room for a triangle's corners, (1, 3, 3).
+        local_corners: room for a triangle's corners, (3, 3).
         hits: `LineHits` to write into.
         next_hit: for each line, where its next hit goes in `hits`, int64; advanced by 1 for each
             hit.
@@ -720,7 +718,7 @@ def cast_lines(
     is_writing = column_hits.z.shape[0] > 0
     ray = allocate_ray()
     middle_hits = allocate_hits(2)
-    local_corners = np.empty((1, 3, 3))
+    local_corners = np.empty((3, 3))
     num_lines = lines.points.shape[0]
     lines_per_group = LINES_PER_CALL
     has_points = lines.points.shape[0] > 0

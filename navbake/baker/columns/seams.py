@@ -30,6 +30,7 @@ from navbake.baker.core.constants import BOX, OPEN_SURFACE
 from navbake.baker.core.limits import AgentLimits, make_agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.baker.geometry.overlap_kernels import find_blocked_lines
+from navbake.baker.geometry.shapes import boxes_in_batches
 from navbake.config.settings import AgentSettings
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
@@ -123,19 +124,21 @@ def _upright_triangles(tiled_shapes: TiledShapes, tiles: Int) -> Float:
     Returns:
         Their corners, shape (n, 3, 3) [m].
     """
-    bounds = tiled_shapes.facets.bounds
+    facets = tiled_shapes.facets
     tile_index = tiled_shapes.tile_index
     is_candidate = _mark_items_over_tiles(
-        tile_index.triangle_start, tile_index.triangle_indices, tiles, len(bounds)
+        tile_index.triangle_start, tile_index.triangle_indices, tiles, len(facets.faces)
     )
 
     def drop_thick_triangles(first_triangle: int, end_triangle: int) -> None:
-        size_x = bounds[first_triangle:end_triangle, 3 + 0] - bounds[first_triangle:end_triangle, 0]
-        size_y = bounds[first_triangle:end_triangle, 3 + 1] - bounds[first_triangle:end_triangle, 1]
-        is_candidate[first_triangle:end_triangle] &= (size_x <= RIM_WIDTH) | (size_y <= RIM_WIDTH)
+        for batch, boxes in boxes_in_batches(facets, first_triangle, end_triangle):
+            size_x = boxes[:, 3] - boxes[:, 0]
+            size_y = boxes[:, 4] - boxes[:, 1]
+            is_candidate[batch] &= (size_x <= RIM_WIDTH) | (size_y <= RIM_WIDTH)
 
-    run_in_chunks(drop_thick_triangles, len(bounds), min_chunk_size=4096)
-    return tiled_shapes.facets.corners[is_candidate]
+    run_in_chunks(drop_thick_triangles, len(facets.faces), min_chunk_size=4096)
+    upright_corners: Float = facets.vertices[facets.faces[is_candidate]]
+    return upright_corners
 
 
 def _mark_items_over_tiles(

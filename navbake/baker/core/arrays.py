@@ -86,22 +86,24 @@ class Facets(NamedTuple):
     """Triangles of geoms, in the world frame.
 
     Attributes:
+        vertices: points that triangles may share, (n, 3) float64 [m].
+        faces: indices of each triangle's vertices, (m, 3) int32.
         geom: MuJoCo's geom ids, ascending, (m,) int32.
         part: the number of the part of the geom's mesh that each triangle belongs to, (m,) int32.
         closed: the kind of surface that the part has, by what it encloses: from OPEN_SURFACE to
             CONVEX_SOLID, see `constants`, (m,) uint8.
-        corners: (m, 3, 3) float64 [m].
-        bounds: boxes around the triangles, (m, 6) float64: lower corner, upper corner [m].
-        normal_z_percent: z of the unit normals in hundredths, rounded; 0 for vertical triangles
-            only, (m,) int8.
     """
 
+    vertices: Float
+    faces: Int32
     geom: Int32
     part: Int32
     closed: NDArray[np.uint8]
-    corners: Float
-    bounds: Float
-    normal_z_percent: NDArray[np.int8]
+
+    @property
+    def corners(self) -> Float:
+        """Return a copy of the triangles' corners, shape (m, 3, 3), float64 [m]."""
+        return self.vertices[self.faces]
 
 
 class ShapeIndex(NamedTuple):

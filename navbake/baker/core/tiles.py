@@ -217,14 +217,14 @@ def list_boxes_by_tile(
     lattice,
     by_tile_row,
     tile_range_of_box,
-    next_index,
+    next_index_of_tile,
+    first_box,
     box_of_item,
-    first_chunk,
-    end_chunk,
 ):
-    """List the boxes over each tile, or count them, for some chunks of the boxes.
+    """List the boxes over each tile, or count them.
 
-    It is called twice: first with an empty `box_of_item`, to count; then with room for the lists.
+    It is called twice: first with an empty `box_of_item`, to count; then with room for the lists,
+    when the boxes themselves aren't read any more.
 
     Args:
         boxes: (n, 6) float64, lower corner, upper corner [m].
@@ -234,32 +234,27 @@ def list_boxes_by_tile(
             cell's centre there.
         tile_range_of_box: receives, for each box, the first row, last row, first and last column of
             the tiles under it, (n, 4) int32, while counting; read while listing.
-        next_index: for each chunk and tile, the index in `box_of_item` for the chunk's next box
-            over the tile, (chunks, tiles) int64; advanced by 1 for each box.
-        box_of_item: receives indices of boxes, tile by tile, int32; empty while counting.
-        first_chunk: number of the first chunk.
-        end_chunk: number past the last one.
+        next_index_of_tile: for each tile, the index in `box_of_item` for the next box over the
+            tile, (tiles,) int64; advanced by 1 for each box.
+        first_box: the number of the first box; the others follow it.
+        box_of_item: receives numbers of boxes, tile by tile, int32; empty while counting.
     """
-    num_boxes = boxes.shape[0]
-    num_chunks = next_index.shape[0]
     is_listing = box_of_item.shape[0] > 0
     tiles_per_row = 1 if by_tile_row else (lattice.width + TILE - 1) // TILE
-    for chunk in range(first_chunk, end_chunk):
-        next_index_of_tile = next_index[chunk]
-        for box in range(num_boxes * chunk // num_chunks, num_boxes * (chunk + 1) // num_chunks):
-            if not is_listing:
-                if by_tile_row:
-                    tile_range = _find_tile_rows_under(boxes, box, margin, lattice)
-                else:
-                    tile_range = _find_tiles_under(boxes, box, margin, lattice)
-                tile_range_of_box[box, 0] = tile_range[0]
-                tile_range_of_box[box, 1] = tile_range[1]
-                tile_range_of_box[box, 2] = tile_range[2]
-                tile_range_of_box[box, 3] = tile_range[3]
-            for row in range(tile_range_of_box[box, 0], tile_range_of_box[box, 1] + 1):
-                first_tile = row * tiles_per_row + tile_range_of_box[box, 2]
-                last_tile = row * tiles_per_row + tile_range_of_box[box, 3]
-                for tile in range(first_tile, last_tile + 1):
-                    if is_listing:
-                        box_of_item[next_index_of_tile[tile]] = box
-                    next_index_of_tile[tile] += 1
+    for box in range(tile_range_of_box.shape[0]):
+        if not is_listing:
+            if by_tile_row:
+                tile_range = _find_tile_rows_under(boxes, box, margin, lattice)
+            else:
+                tile_range = _find_tiles_under(boxes, box, margin, lattice)
+            tile_range_of_box[box, 0] = tile_range[0]
+            tile_range_of_box[box, 1] = tile_range[1]
+            tile_range_of_box[box, 2] = tile_range[2]
+            tile_range_of_box[box, 3] = tile_range[3]
+        for row in range(tile_range_of_box[box, 0], tile_range_of_box[box, 1] + 1):
+            first_tile = row * tiles_per_row + tile_range_of_box[box, 2]
+            last_tile = row * tiles_per_row + tile_range_of_box[box, 3]
+            for tile in range(first_tile, last_tile + 1):
+                if is_listing:
+                    box_of_item[next_index_of_tile[tile]] = first_box + box
+                next_index_of_tile[tile] += 1

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.core.arrays import Solids
+from navbake.baker.core.arrays import Facets, Solids
 from navbake.baker.geometry.shapes import Shapes, support_distances
 from navbake.baker.geometry.triangle_kernels import (
     QUARTER_TURN,
@@ -143,7 +143,7 @@ def _measure_triangles(shapes: Shapes, extents: Extents) -> None:
     group_of_geom[geom_ids] = np.arange(len(geom_ids))
     facing_areas = FacingAreas(len(geom_ids))
     for facets in shapes.facets_in_batches():
-        facing_areas.add(facets.corners, group_of_geom[facets.geom])
+        facing_areas.add(facets, group_of_geom[facets.geom])
     angle = facing_areas.find_angles()
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     perpendicular = np.stack([-direction[:, 1], direction[:, 0]], axis=1)
@@ -151,7 +151,8 @@ def _measure_triangles(shapes: Shapes, extents: Extents) -> None:
     highest_coordinates = np.full((len(geom_ids), 3), -np.inf)
     for facets in shapes.facets_in_batches():
         measure_spans(
-            facets.corners,
+            facets.vertices,
+            facets.faces,
             group_of_geom[facets.geom],
             direction,
             lowest_coordinates,
@@ -189,22 +190,23 @@ class FacingAreas:
         self._area_times_angle = np.zeros(num_groups * NUM_DIRECTIONS)
         self._num_groups = num_groups
 
-    def add(self, corners: Float, group_of_triangle: Int32) -> None:
+    def add(self, facets: Facets, group_of_triangle: Int32) -> None:
         """Add triangles.
 
         Args:
-            corners: corners of the triangles, shape (m, 3, 3) [m].
+            facets: m triangles.
             group_of_triangle: the group of each triangle, from 0, shape (m,).
         """
         direction_index = np.empty(TRIANGLES_PER_CALL, np.int32)
         double_side_area = np.empty(TRIANGLES_PER_CALL)
         area_times_angle = np.empty(TRIANGLES_PER_CALL)
         for first_triangle in range(0, len(group_of_triangle), TRIANGLES_PER_CALL):
-            batch_corners = corners[first_triangle : first_triangle + TRIANGLES_PER_CALL]
+            batch_faces = facets.faces[first_triangle : first_triangle + TRIANGLES_PER_CALL]
             run_in_chunks(
                 find_facing_directions,
-                len(batch_corners),
-                batch_corners,
+                len(batch_faces),
+                facets.vertices,
+                batch_faces,
                 NUM_DIRECTIONS,
                 direction_index,
                 double_side_area,
@@ -214,9 +216,9 @@ class FacingAreas:
             first_index_of_group = group_of_triangle[
                 first_triangle : first_triangle + TRIANGLES_PER_CALL
             ] * np.int64(NUM_DIRECTIONS)
-            flat_index = first_index_of_group + direction_index[: len(batch_corners)]
-            np.add.at(self._area, flat_index, double_side_area[: len(batch_corners)])
-            np.add.at(self._area_times_angle, flat_index, area_times_angle[: len(batch_corners)])
+            flat_index = first_index_of_group + direction_index[: len(batch_faces)]
+            np.add.at(self._area, flat_index, double_side_area[: len(batch_faces)])
+            np.add.at(self._area_times_angle, flat_index, area_times_angle[: len(batch_faces)])
 
     def find_angles(self) -> Float:
         """Find, for each group, the horizontal direction that most of its vertical faces face.

@@ -65,7 +65,7 @@ def is_beside_prism(boxes, box, prism):
 
 
 @subkernel(inline="always")
-def facet_meets_prism(facets, triangle, prism, polygons):
+def facet_meets_prism(facets, triangle, triangle_copy, prism, polygons):
     """Return whether a triangle meets a prism.
 
     A triangle of a solid must reach TOUCH_DEPTH into the prism from the side. A triangle of an open
@@ -75,6 +75,7 @@ def facet_meets_prism(facets, triangle, prism, polygons):
     Args:
         facets: the triangles, as `Facets`.
         triangle: index of the triangle.
+        triangle_copy: its copy, as `TriangleCopy`.
         prism: the prism, as `Prism`, already narrowed by TOUCH_DEPTH; for open surfaces it is
             widened here by twice that.
         polygons: room for clipping, see `allocate_polygons`.
@@ -83,9 +84,9 @@ def facet_meets_prism(facets, triangle, prism, polygons):
     widened_prism = Prism(
         prism.x, prism.y, prism.low, prism.high, prism.half_width + margin, prism.is_round
     )
-    if is_beside_prism(facets.bounds, triangle, widened_prism):  # true for most triangles
+    if is_beside_prism(triangle_copy.box, 0, widened_prism):  # true for most triangles
         return False
-    return triangle_meets_prism(facets.corners[triangle], widened_prism, polygons)
+    return triangle_meets_prism(triangle_copy.corners, widened_prism, polygons)
 
 
 @subkernel(**NO_REFCOUNT)

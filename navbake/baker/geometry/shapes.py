@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.core.arrays import Facets, Planes, Solids
-from navbake.baker.core.blocks import join_arrays
 from navbake.baker.core.constants import BOX, CAPSULE, CYLINDER, ELLIPSOID, SOLID
-from navbake.baker.geometry.triangle_kernels import expand_mesh, measure_areas
+from navbake.baker.geometry.triangle_kernels import measure_areas, measure_boxes
 from navbake.lazy import lazy
 from navbake.threads import num_threads, run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
@@ -37,6 +36,8 @@ MAX_JOINED_POINTS = 1000
 NUM_SIDES = 32  # of round solids that are made of triangles
 # Triangles of about this many are expanded at a time
 TRIANGLES_PER_BATCH = 1 << 20
+# The boxes around this many triangles are measured at a time, so that the CPU's cache holds them
+TRIANGLES_PER_BOX_BATCH = 1 << 13
 # Height fields are cut into pieces of about this many triangles, so that only those near some rows
 # of cells need to be expanded
 TRIANGLES_PER_PIECE = 1 << 16
@@ -109,50 +110,30 @@ class Meshes:
         return Meshes(self.geom[is_selected], triangles, self.boxes[is_selected])
 
     def expand(self) -> Facets:
-        """Return all triangles of all geoms, ordered by geom, with their corners and boxes."""
-        first_triangle_of_mesh = np.cumsum([0, *self.num_triangles])  # of each entry
-        num_triangles = int(first_triangle_of_mesh[-1])
-        corners = np.empty((num_triangles, 3, 3))
-        bounds = np.empty((num_triangles, 6))
-        normal_z_percent = np.empty(num_triangles, dtype=np.int8)
+        """Return all triangles of all geoms, ordered by geom; one entry alone isn't copied."""
+        num_triangles = self.num_triangles
+        geom = np.repeat(self.geom, num_triangles)
+        if len(self.triangles) == 1:
+            mesh = self.triangles[0]
+            return Facets(mesh.vertices, mesh.faces, geom, mesh.part, mesh.closed)
+        first_vertices = np.cumsum([0, *(len(mesh.vertices) for mesh in self.triangles)]).tolist()
+        first_triangles = np.cumsum([0, *num_triangles]).tolist()
+        vertices = np.empty((first_vertices[-1], 3))
+        faces = np.empty((first_triangles[-1], 3), dtype=np.int32)
+        part = np.empty(first_triangles[-1], dtype=np.int32)
+        closed = np.empty(first_triangles[-1], dtype=np.uint8)
 
-        def expand_triangle_range(first_triangle: int, end_triangle: int) -> None:
-            mesh_number = (
-                int(np.searchsorted(first_triangle_of_mesh, first_triangle, side="right")) - 1
-            )
-            while first_triangle < end_triangle:
-                mesh_first_triangle, mesh_end_triangle = first_triangle_of_mesh[
-                    mesh_number : mesh_number + 2
-                ].tolist()
-                range_end = min(mesh_end_triangle, end_triangle)
-                mesh = self.triangles[mesh_number]
-                expand_mesh(
-                    mesh.vertices,
-                    mesh.faces,
-                    corners[mesh_first_triangle:mesh_end_triangle],
-                    bounds[mesh_first_triangle:mesh_end_triangle],
-                    normal_z_percent[mesh_first_triangle:mesh_end_triangle],
-                    first_triangle - mesh_first_triangle,
-                    range_end - mesh_first_triangle,
-                )
-                first_triangle = range_end
-                mesh_number = mesh_number + 1
+        def copy_meshes(first_mesh: int, end_mesh: int) -> None:
+            for number in range(first_mesh, end_mesh):
+                mesh = self.triangles[number]
+                vertices[first_vertices[number] : first_vertices[number + 1]] = mesh.vertices
+                mesh_slice = slice(first_triangles[number], first_triangles[number + 1])
+                np.add(mesh.faces, first_vertices[number], out=faces[mesh_slice])
+                part[mesh_slice] = mesh.part
+                closed[mesh_slice] = mesh.closed
 
-        run_in_chunks(expand_triangle_range, num_triangles, min_chunk_size=MIN_ITEMS_PER_CHUNK)
-        arrays_of_meshes: list[list[NDArray[Any]]] = [
-            [mesh.part, mesh.closed] for mesh in self.triangles
-        ]
-        if not arrays_of_meshes:
-            arrays_of_meshes.append([np.empty(0, np.int32), np.empty(0, np.uint8)])
-        part, closed = join_arrays(arrays_of_meshes)
-        return Facets(
-            np.repeat(self.geom, self.num_triangles),
-            part,
-            closed,
-            corners,
-            bounds,
-            normal_z_percent,
-        )
+        run_in_chunks(copy_meshes, len(self.triangles))
+        return Facets(vertices, faces, geom, part, closed)
 
 
 Primitives = TypeVar("Primitives", Solids, Planes)
@@ -300,6 +281,28 @@ class Shapes:
         empty_planes = Planes._make(array[:0] for array in self.planes)
         empty_meshes = self.meshes.only(np.zeros(len(self.meshes.geom), dtype=np.bool_))
         return Shapes(rotated_solids, empty_planes, empty_meshes, self.is_endless)
+
+
+def boxes_in_batches(
+    facets: Facets, first_triangle: int, end_triangle: int
+) -> Iterator[tuple[slice, Float]]:
+    """Measure the boxes around triangles, batch by batch: they are needed often, but not for long.
+
+    Args:
+        facets: the triangles.
+        first_triangle: index of the first triangle.
+        end_triangle: index past the last one.
+
+    Yields:
+        The indices of a batch of triangles, in order; and the boxes around them: lower corner,
+        upper corner, shape (k, 6) [m]. The next batch overwrites them.
+    """
+    boxes = np.empty((min(TRIANGLES_PER_BOX_BATCH, end_triangle - first_triangle), 6))
+    for first_in_batch in range(first_triangle, end_triangle, TRIANGLES_PER_BOX_BATCH):
+        end_of_batch = min(first_in_batch + TRIANGLES_PER_BOX_BATCH, end_triangle)
+        batch = slice(first_in_batch, end_of_batch)
+        measure_boxes(facets.vertices, facets.faces[batch], boxes)
+        yield batch, boxes[: end_of_batch - first_in_batch]
 
 
 def gather_meshes(triangles_of_geoms: Iterable[tuple[int, GeomTriangles]]) -> Meshes:

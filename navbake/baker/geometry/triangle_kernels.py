@@ -5,14 +5,28 @@ so that results are equal bit by bit.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
+from navbake.types import Float
 
 QUARTER_TURN = math.pi / 2  # [rad]
 # A triangle counts as vertical if its unit normal's z is below this
 MAX_VERTICAL_NORMAL_Z = 1e-9
+
+
+class TriangleCopy(NamedTuple):
+    """A copy of one of the triangles of `Facets`, with the box around it.
+
+    Attributes:
+        corners: (3, 3) float64 [m].
+        box: lower corner, upper corner, (1, 6) float64 [m].
+    """
+
+    corners: Float
+    box: Float
 
 
 @subkernel(inline="always")
@@ -34,16 +48,15 @@ def _length(x, y, z):
 
 
 @subkernel(**NO_REFCOUNT)
-def unit_normal(corners, triangle):
+def unit_normal(a, b, c):
     """Return x, y and z of a triangle's unit normal.
 
     z is 0 for vertical triangles; all are 0 for triangles without area.
 
     Args:
-        corners: (…, 3, 3) float64 [m].
-        triangle: index of the triangle.
+        a, b, c: the triangle's corners, (3,) float64 each [m].
     """
-    x, y, z = _cross(corners[triangle, 0], corners[triangle, 1], corners[triangle, 2])
+    x, y, z = _cross(a, b, c)
     length = _length(x, y, z)
     if not length > 0.0:
         return 0.0, 0.0, 0.0
@@ -51,38 +64,52 @@ def unit_normal(corners, triangle):
     return x / length, y / length, 0.0 if abs(normal_z) < MAX_VERTICAL_NORMAL_Z else normal_z
 
 
-@kernel(nogil=True, **NO_REFCOUNT)
-def expand_mesh(vertices, faces, corners, bounds, normal_z_percent, first_triangle, end_triangle):
-    """Write triangles ``range(first_triangle, end_triangle)`` of a mesh as fields of `Facets`.
+@subkernel
+def allocate_triangle():
+    """Allocate a `TriangleCopy`."""
+    return TriangleCopy(np.empty((3, 3)), np.empty((1, 6)))
 
-    `normal_z_percent` is 0 for vertical triangles only: where it would be rounded to 0 for another
-    triangle, it is 1 or -1.
+
+@subkernel(**NO_REFCOUNT)
+def copy_triangle(facets, triangle, triangle_copy):
+    """Copy the corners of a triangle, and measure the box around it.
+
+    Args:
+        facets: the triangles, as `Facets`.
+        triangle: index of the triangle.
+        triangle_copy: receives the copy.
+    """
+    corners = triangle_copy.corners
+    box = triangle_copy.box
+    vertices = facets.vertices
+    a = facets.faces[triangle, 0]
+    b = facets.faces[triangle, 1]
+    c = facets.faces[triangle, 2]
+    for k in range(3):
+        corners[0, k] = vertices[a, k]
+        corners[1, k] = vertices[b, k]
+        corners[2, k] = vertices[c, k]
+        box[0, k] = min(vertices[a, k], vertices[b, k], vertices[c, k])
+        box[0, 3 + k] = max(vertices[a, k], vertices[b, k], vertices[c, k])
+
+
+@kernel(nogil=True, **NO_REFCOUNT)
+def measure_boxes(vertices, faces, boxes):
+    """Measure the boxes around triangles.
 
     Args:
         vertices: (n, 3) float64 [m].
         faces: vertices of each triangle, (m, 3) int32.
-        corners: receives the corners of each triangle, (m, 3, 3) float64 [m].
-        bounds: receives the box around each triangle: lower, upper corner, (m, 6) float64 [m].
-        normal_z_percent: receives z of the unit normals in hundredths, rounded, (m,) int8.
-        first_triangle: index of the first triangle.
-        end_triangle: index past the last one.
+        boxes: receives the box around each triangle: lower corner, upper corner, (>= m, 6) float64
+            [m].
     """
-    for triangle in range(first_triangle, end_triangle):
-        for i in range(3):
-            for k in range(3):
-                corners[triangle, i, k] = vertices[faces[triangle, i], k]
-        a = corners[triangle, 0]
-        b = corners[triangle, 1]
-        c = corners[triangle, 2]
+    for face in range(faces.shape[0]):
+        a = faces[face, 0]
+        b = faces[face, 1]
+        c = faces[face, 2]
         for k in range(3):
-            bounds[triangle, k] = min(a[k], b[k], c[k])
-            bounds[triangle, 3 + k] = max(a[k], b[k], c[k])
-        x, y, z = _cross(a, b, c)
-        length = _length(x, y, z)
-        normal_z = z / length if length > 0.0 else 0.0
-        normal_z_percent[triangle] = np.rint(100.0 * normal_z)
-        if normal_z_percent[triangle] == 0 and abs(normal_z) >= MAX_VERTICAL_NORMAL_Z:
-            normal_z_percent[triangle] = 1 if normal_z > 0.0 else -1
+            boxes[face, k] = min(vertices[a, k], vertices[b, k], vertices[c, k])
+            boxes[face, 3 + k] = max(vertices[a, k], vertices[b, k], vertices[c, k])
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
@@ -246,7 +273,8 @@ def find_nearest_axes(normal, axes, max_distance, nearest_axis, first_normal, en
 
 @kernel(nogil=True, **NO_REFCOUNT)
 def find_facing_directions(
-    corners,
+    vertices,
+    faces,
     num_directions,
     direction_of_triangle,
     double_side_area,
@@ -260,7 +288,8 @@ def find_facing_directions(
     turn apart count as equal.
 
     Args:
-        corners: corners of the triangles, (m, 3, 3) float64 [m].
+        vertices: (n, 3) float64 [m].
+        faces: vertices of each triangle, (m, 3) int32.
         num_directions: how many directions a quarter turn is divided into.
         direction_of_triangle: receives the number of the direction nearest to the triangle's, (m,)
             int32; direction n is at ``n / num_directions`` of a quarter turn from x.
@@ -273,7 +302,9 @@ def find_facing_directions(
     """
     angle_step = QUARTER_TURN / num_directions
     for triangle in range(first_triangle, end_triangle):
-        x, y, _ = _cross(corners[triangle, 0], corners[triangle, 1], corners[triangle, 2])
+        x, y, _ = _cross(
+            vertices[faces[triangle, 0]], vertices[faces[triangle, 1]], vertices[faces[triangle, 2]]
+        )
         direction_of_triangle[triangle] = 0
         double_side_area[triangle] = math.sqrt(x * x + y * y)
         area_times_angle[triangle] = 0.0
@@ -289,11 +320,14 @@ def find_facing_directions(
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def measure_spans(corners, group_of_triangle, direction, lowest_coordinates, highest_coordinates):
+def measure_spans(
+    vertices, faces, group_of_triangle, direction, lowest_coordinates, highest_coordinates
+):
     """Measure how far groups of triangles extend along a direction, across it, and in height.
 
     Args:
-        corners: (m, 3, 3) float64 [m].
+        vertices: (n, 3) float64 [m].
+        faces: vertices of each triangle, (m, 3) int32.
         group_of_triangle: the group of each triangle, (m,) int32.
         direction: horizontal unit vector of each group, (groups, 2) float64.
         lowest_coordinates: receives the least coordinate along the direction, along its left
@@ -301,12 +335,13 @@ def measure_spans(corners, group_of_triangle, direction, lowest_coordinates, hig
         highest_coordinates: receives the greatest ones, (groups, 3) [m]; the caller fills it with
             -inf.
     """
-    for triangle in range(corners.shape[0]):
+    for triangle in range(faces.shape[0]):
         group = group_of_triangle[triangle]
         for corner in range(3):
-            x = corners[triangle, corner, 0]
-            y = corners[triangle, corner, 1]
-            z = corners[triangle, corner, 2]
+            vertex = faces[triangle, corner]
+            x = vertices[vertex, 0]
+            y = vertices[vertex, 1]
+            z = vertices[vertex, 2]
             coordinate_along = x * direction[group, 0] + y * direction[group, 1]
             coordinate_across = y * direction[group, 0] - x * direction[group, 1]
             lowest_coordinates[group, 0] = min(lowest_coordinates[group, 0], coordinate_along)

@@ -50,6 +50,7 @@ from navbake.baker.geometry.overlap_kernels import (
     is_line_blocked,
     plane_meets_prism,
 )
+from navbake.baker.geometry.triangle_kernels import allocate_triangle, copy_triangle
 from navbake.baker.occupancy.volume_kernels import (
     AT_WALL_HEIGHT,
     BLOCKING,
@@ -213,7 +214,7 @@ def check_tiles(
         pending_heights=np.empty((4, 2)),
         geom_box=np.empty((1, 6)),
         current_plane=np.empty(1, np.int32),
-        scratch=VolumeScratch(allocate_simplex(), allocate_polygons()),
+        scratch=VolumeScratch(allocate_simplex(), allocate_polygons(), allocate_triangle()),
     )
     num_cells = queries.cell.shape[0]
     row_size = TILE * lattice.width
@@ -429,6 +430,7 @@ def _check_tile(task, tiles, tile, entries):
     planes = task.shape_arrays.planes
     tile_state = task.tile_state
     geom_box = tile_state.geom_box
+    triangle_copy = tile_state.scratch.triangle_copy
     num_entries = np.int64(0)  # see `next_list_start` above
     next_plane = 0
     next_solid = tiles.solid_start[tile]
@@ -466,7 +468,7 @@ def _check_tile(task, tiles, tile, entries):
         else:
             shape_kind = TRIANGLE_KIND
             shape_ids = tiles.triangle_indices
-            bounds = facets.bounds
+            bounds = triangle_copy.box
             first_shape = next_triangle
             while next_triangle < end_triangle and facets.geom[shape_ids[next_triangle]] == geom:
                 next_triangle += 1
@@ -478,9 +480,15 @@ def _check_tile(task, tiles, tile, entries):
         for shape in shape_ids[
             first_shape : end_shape if shape_kind != PLANE_KIND else first_shape
         ]:
+            shape_in_bounds = shape
+            if shape_kind == TRIANGLE_KIND:
+                copy_triangle(facets, shape, triangle_copy)
+                shape_in_bounds = 0
             for axis in range(3):
-                geom_box[0, axis] = min(geom_box[0, axis], bounds[shape, axis])
-                geom_box[0, 3 + axis] = max(geom_box[0, 3 + axis], bounds[shape, 3 + axis])
+                geom_box[0, axis] = min(geom_box[0, axis], bounds[shape_in_bounds, axis])
+                geom_box[0, 3 + axis] = max(
+                    geom_box[0, 3 + axis], bounds[shape_in_bounds, 3 + axis]
+                )
         if shape_kind == PLANE_KIND:
             for axis in range(3):
                 geom_box[0, axis] = -math.inf
@@ -528,6 +536,8 @@ def _check_geom(task, shape_kind, shape_ids, geom, entries, num_entries):
         return num_entries
     footprint = task.footprint
     facets = task.shape_arrays.facets
+    triangle_copy = tile_state.scratch.triangle_copy
+    box = triangle_copy.box
     # how far from a cell's centre shapes can meet the prisms over its square, and any of its prisms
     square_search_distance = lattice.cell_size / 2 + SEARCH_MARGIN
     prism_search_distance = max(
@@ -548,6 +558,8 @@ def _check_geom(task, shape_kind, shape_ids, geom, entries, num_entries):
             == 0
         ):
             break
+        if shape_kind == TRIANGLE_KIND:
+            copy_triangle(facets, shape, triangle_copy)
         # cells near the shape where BLOCKING is open, whose prism may be a disc wider than the
         # cell, and cells where another flag is open, whose prisms are over the cell's square
         disc_cell_bits = np.int64(0)
@@ -555,8 +567,8 @@ def _check_geom(task, shape_kind, shape_ids, geom, entries, num_entries):
         window_near_shape = window_near_geom
         for flag_index in range(4):
             is_at_height = shape_kind != TRIANGLE_KIND or (
-                facets.bounds[shape, 2] < pending_heights[flag_index, 1]
-                and facets.bounds[shape, 5] > pending_heights[flag_index, 0]
+                box[0, 2] < pending_heights[flag_index, 1]
+                and box[0, 5] > pending_heights[flag_index, 0]
             )
             disc_cell_bits |= (
                 pending_cell_bits[flag_index] if is_at_height and 1 << flag_index == BLOCKING else 0
@@ -569,12 +581,12 @@ def _check_geom(task, shape_kind, shape_ids, geom, entries, num_entries):
                 prism_search_distance if disc_cell_bits != 0 else square_search_distance
             )
             window_near_shape = window_near_box(
-                lattice, window_near_geom, facets.bounds, shape, triangle_search_distance
+                lattice, window_near_geom, box, 0, triangle_search_distance
             )
             disc_cell_bits &= window_bits(window, window_near_shape)
             if square_cell_bits != 0:
                 window_near_square = window_near_box(
-                    lattice, window_near_shape, facets.bounds, shape, square_search_distance
+                    lattice, window_near_shape, box, 0, square_search_distance
                 )
                 square_cell_bits &= window_bits(window, window_near_square)
         if disc_cell_bits | square_cell_bits == 0:  # as for most triangles of a fine mesh

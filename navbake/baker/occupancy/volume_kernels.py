@@ -33,6 +33,7 @@ from navbake.baker.geometry.overlap_kernels import (
     plane_meets_prism,
 )
 from navbake.baker.geometry.solid_kernels import solid_meets_prism
+from navbake.baker.geometry.triangle_kernels import TriangleCopy
 from navbake.compiled import NO_REFCOUNT, subkernel
 from navbake.types import Bool, Float, Int, Int32
 
@@ -133,10 +134,17 @@ class Volumes(NamedTuple):
 
 
 class VolumeScratch(NamedTuple):
-    """Memory that the tests of shapes against prisms write their intermediate results to."""
+    """Memory that the tests of shapes against prisms write their intermediate results to.
+
+    Attributes:
+        simplex: of a solid and a prism.
+        polygons: a triangle that is clipped by a prism.
+        triangle_copy: the triangle that is tested.
+    """
 
     simplex: Simplex
     polygons: Polygons
+    triangle_copy: TriangleCopy
 
 
 @subkernel(inline="always")
@@ -214,7 +222,7 @@ def shape_meets_prism(shape_arrays, shape_kind, shape, prism, scratch):
         shape_kind: PLANE_KIND, SOLID_KIND or TRIANGLE_KIND.
         shape: number of the plane, solid or triangle.
         prism: a square or a disc between two heights.
-        scratch: room for the test.
+        scratch: room for the test, with a copy of the triangle.
 
     Returns:
         APART or MEETS, which are proved; or, for solids only, UNDECIDED if rounding prevents a
@@ -223,7 +231,9 @@ def shape_meets_prism(shape_arrays, shape_kind, shape, prism, scratch):
     if shape_kind == PLANE_KIND:
         return MEETS if plane_meets_prism(shape_arrays.planes, shape, prism) else APART
     if shape_kind == TRIANGLE_KIND:
-        is_meeting = facet_meets_prism(shape_arrays.facets, shape, prism, scratch.polygons)
+        is_meeting = facet_meets_prism(
+            shape_arrays.facets, shape, scratch.triangle_copy, prism, scratch.polygons
+        )
         return MEETS if is_meeting else APART
     solids = shape_arrays.solids
     if is_beside_prism(solids.bounds, shape, prism):

@@ -17,7 +17,7 @@ from navbake.baker.columns.columns import TiledShapes, cast_points, tile_shapes
 from navbake.baker.core.arrays import Facets
 from navbake.baker.core.blocks import join_arrays
 from navbake.baker.core.components import find_row_runs
-from navbake.baker.geometry.shapes import Shapes
+from navbake.baker.geometry.shapes import Shapes, boxes_in_batches
 from navbake.baker.rooms import gap_kernels as kernels
 from navbake.baker.rooms.gap_limits import MAX_JAMB_DISTANCE, MAX_WALL_DISTANCE
 from navbake.navgrid.lattice import Lattice
@@ -78,8 +78,8 @@ EDGE_PADDING = 2
 RAY_HEIGHT = 0.6
 # Triangles at heights without rays are skipped; heights are compared in bins of this size [m]
 HEIGHT_BIN = 0.01
-# This many triangles are compared with the heights at a time, so that the CPU's cache holds them
-TRIANGLE_CHUNK = 1 << 14
+# Fewer triangles than this are not worth a call on another thread
+MIN_CHUNK_TRIANGLES = 1 << 14
 # From a cell, rays begin at its centre and this far to both sides of it, because a thin piece of
 # wall in the cells ahead may lie beside their centres [cells]
 RAY_OFFSETS = np.array([-0.5, 0.0, 0.5])
@@ -560,7 +560,10 @@ class WallRays:
         triangles_by_batch = [
             _choose_triangles(facets, heights) for facets in walls.facets_in_batches()
         ]
-        triangles = Facets._make(join_arrays(triangles_by_batch))
+        geom, part, closed, corners = join_arrays(triangles_by_batch)
+        vertices = corners.reshape(-1, 3)
+        faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+        triangles = Facets(vertices, faces, geom, part, closed)
         self._ray_heights[~has_floor] = NO_FLOOR_HEIGHT
         # rays from cells at the lattice's edge reach beyond it
         self._reach = max(MIN_RAY_LENGTH, MAX_JAMB_DISTANCE / lattice.cell_size)  # [cells]
@@ -745,25 +748,24 @@ def _choose_triangles(triangles: Facets, heights: Float) -> list[NDArray[Any]]:
     """Choose the triangles at heights of rays; heights are compared in bins of `HEIGHT_BIN`.
 
     Args:
-        triangles: n triangles.
+        triangles: the triangles.
         heights: the heights of the rays, at least one [m].
 
     Returns:
-        The arrays of `Facets`, with the chosen triangles in the order of `triangles`.
+        Of the chosen triangles, in the order of `triangles`: geom, part, closed, as in `Facets`;
+        and the corners, (n, 3, 3) [m].
     """
-    bounds = triangles.bounds
     lowest_ray_z = heights.min()
     highest_ray_z = heights.max()
     has_ray = np.zeros(int((highest_ray_z - lowest_ray_z) / HEIGHT_BIN) + 1, dtype=np.int64)
     has_ray[((heights - lowest_ray_z) / HEIGHT_BIN).astype(np.int64)] = 1
     num_ray_bins_before = np.append(0, np.cumsum(has_ray))  # of each bin, those with a ray
-    triangle_ids_of_chunk = dict[int, Int]()
+    triangle_ids_by_first = dict[int, Int]()  # index of a batch's first triangle -> chosen ones
 
-    def choose_in_chunks(first_chunk: int, end_chunk: int) -> None:
-        for chunk in range(first_chunk, end_chunk):
-            first_triangle = chunk * TRIANGLE_CHUNK
-            bottom_z = bounds[first_triangle : first_triangle + TRIANGLE_CHUNK, 2]
-            top_z = bounds[first_triangle : first_triangle + TRIANGLE_CHUNK, 5]
+    def choose_in_range(first_triangle: int, end_triangle: int) -> None:
+        for batch, boxes in boxes_in_batches(triangles, first_triangle, end_triangle):
+            bottom_z = boxes[:, 2]
+            top_z = boxes[:, 5]
             ids_in_range = np.flatnonzero((bottom_z <= highest_ray_z) & (top_z >= lowest_ray_z))
             relative_heights = (
                 np.stack([bottom_z[ids_in_range] - TILE_MARGIN, top_z[ids_in_range] + TILE_MARGIN])
@@ -773,14 +775,17 @@ def _choose_triangles(triangles: Facets, heights: Float) -> list[NDArray[Any]]:
                 (relative_heights / HEIGHT_BIN).astype(np.int64).clip(0, len(has_ray) - 1)
             )
             meets_ray = num_ray_bins_before[last_bin + 1] > num_ray_bins_before[first_bin]
-            triangle_ids_of_chunk[chunk] = first_triangle + ids_in_range[meets_ray]
+            triangle_ids_by_first[batch.start] = batch.start + ids_in_range[meets_ray]
 
-    run_in_chunks(choose_in_chunks, -(-len(bounds) // TRIANGLE_CHUNK))
-    triangle_ids_by_chunk = [
-        triangle_ids_of_chunk[chunk] for chunk in sorted(triangle_ids_of_chunk)
+    run_in_chunks(choose_in_range, len(triangles.faces), min_chunk_size=MIN_CHUNK_TRIANGLES)
+    triangle_ids_by_batch = [
+        triangle_ids_by_first[first_triangle] for first_triangle in sorted(triangle_ids_by_first)
     ]
-    triangle_ids = np.concatenate([np.empty(0, np.int64), *triangle_ids_by_chunk])
-    return [array.take(triangle_ids, axis=0) for array in triangles]
+    triangle_ids = np.concatenate([np.empty(0, np.int64), *triangle_ids_by_batch])
+    geom_part_closed = [
+        array[triangle_ids] for array in (triangles.geom, triangles.part, triangles.closed)
+    ]
+    return [*geom_part_closed, triangles.vertices[triangles.faces[triangle_ids]]]
 
 
 # ---------------------------------------------------------------- sills

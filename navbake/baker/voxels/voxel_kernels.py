@@ -31,6 +31,7 @@ from navbake.baker.geometry.overlap_kernels import (
     plane_meets_prism,
 )
 from navbake.baker.geometry.solid_kernels import solid_meets_prism
+from navbake.baker.geometry.triangle_kernels import allocate_triangle, copy_triangle
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
 
@@ -178,7 +179,7 @@ def _fill_inside(voxels, column, hits, cell, labels):
 
 
 @subkernel(**NO_REFCOUNT)
-def _fill_triangle(voxels, lattice, window, facets, triangle, label, polygons, strip_polygon):
+def _fill_triangle(voxels, lattice, window, triangle_copy, label, polygons, strip_polygon):
     """Label the voxels that a triangle meets.
 
     The triangle is clipped to each strip of columns with the same x; the rest of it is clipped to
@@ -188,8 +189,7 @@ def _fill_triangle(voxels, lattice, window, facets, triangle, label, polygons, s
         voxels: the grid, as `Voxels`.
         lattice: the lattice whose cells are the columns.
         window: only columns over these rows and columns of cells are filled, see `tile_window`.
-        facets: the triangles, as `Facets`.
-        triangle: index of the triangle.
+        triangle_copy: the triangle, as `TriangleCopy`.
         label: the label of its geom.
         polygons: room for clipping, see `allocate_polygons`.
         strip_polygon: room for the triangle clipped to a strip, (12, 3) float64.
@@ -197,13 +197,13 @@ def _fill_triangle(voxels, lattice, window, facets, triangle, label, polygons, s
     half_voxel = voxels.res / 2.0
     num_rows = lattice.height
     first_row, end_row, first_col, end_col = window_near_box(
-        lattice, window, facets.bounds, triangle, half_voxel
+        lattice, window, triangle_copy.box, 0, half_voxel
     )
     for col in range(first_col, end_col):
         x, _ = cell_center_at(lattice, first_row, col)
         x_limits = (x - half_voxel + TOUCH_DEPTH, x + half_voxel - TOUCH_DEPTH)
         num_strip_corners = clip_polygon_between(
-            facets.corners[triangle],
+            triangle_copy.corners,
             np.int64(3),
             polygons.scratch_polygon,
             X,
@@ -250,6 +250,7 @@ def fill_voxels(
     polygons = allocate_polygons()
     strip_polygon = np.empty((12, 3))
     simplex = allocate_simplex()
+    triangle_copy = allocate_triangle()
     for tile in range(first_tile, end_tile):
         window = tile_window(lattice, tile)
         for row in range(window[0], window[1]):
@@ -268,6 +269,5 @@ def fill_voxels(
         for item in range(tile_index.triangle_start[tile], tile_index.triangle_start[tile + 1]):
             triangle = tile_index.triangle_indices[item]
             label = labels[facets.geom[triangle]]
-            _fill_triangle(
-                voxels, lattice, window, facets, triangle, label, polygons, strip_polygon
-            )
+            copy_triangle(facets, triangle, triangle_copy)
+            _fill_triangle(voxels, lattice, window, triangle_copy, label, polygons, strip_polygon)

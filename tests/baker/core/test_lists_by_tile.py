@@ -12,6 +12,7 @@ from navbake.baker.columns.columns import (
     list_by_tile,
     list_by_tile_row,
 )
+from navbake.baker.core.arrays import Facets
 from navbake.baker.core.tiles import TILE
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import limit_threads
@@ -79,12 +80,26 @@ def test_counts_are_no_more_than_boxes(monkeypatch, boxes):
     expected = list_by_tile(boxes, GROW, LATTICE)
     counts = []
 
-    def run(kernel, chunks, *args):
-        counts.append(args[5].shape)
-        kernel(*args, 0, chunks)
+    def run(count_or_list, chunks):
+        counts.append(chunks)
+        count_or_list(0, chunks)
 
     monkeypatch.setattr("navbake.baker.columns.columns.num_threads", lambda: 64)
     monkeypatch.setattr("navbake.baker.columns.columns.run_in_chunks", run)
     for one, other in zip(list_by_tile(boxes, GROW, LATTICE), expected, strict=True):
         np.testing.assert_array_equal(one, other)
-    assert all(chunks > 1 and chunks * tiles <= NUM for chunks, tiles in counts)
+    num_tiles = len(expected[0]) - 1
+    assert all(chunks > 1 and chunks * num_tiles <= NUM for chunks in counts)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("list_boxes", [list_by_tile, list_by_tile_row])
+def test_triangles_are_listed_by_their_boxes(boxes, list_boxes, threads):
+    low, high = boxes[:, :3], boxes[:, 3:]
+    vertices = np.stack([low, high, (low + high) / 2], axis=1).reshape(-1, 3)
+    faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+    geom, closed = np.zeros(NUM, np.int32), np.zeros(NUM, np.uint8)
+    with limit_threads(threads):
+        listed = list_boxes(Facets(vertices, faces, geom, geom, closed), GROW, LATTICE)
+    for array, expected in zip(listed, list_boxes(boxes, GROW, LATTICE), strict=True):
+        np.testing.assert_array_equal(array, expected)

@@ -6,8 +6,14 @@ import numba
 import numpy as np
 import pytest
 
+from navbake.baker.core.arrays import Facets
 from navbake.baker.geometry.extents import NUM_DIRECTIONS, FacingAreas
-from navbake.baker.geometry.shapes import bounding_box, drop_unused_vertices, triangle_areas
+from navbake.baker.geometry.shapes import (
+    bounding_box,
+    boxes_in_batches,
+    drop_unused_vertices,
+    triangle_areas,
+)
 from navbake.baker.geometry.triangle_kernels import (
     describe_triangles,
     find_nearest_axes,
@@ -33,9 +39,15 @@ def cross_of(vertices, faces):
     return np.cross(b - a, c - a)
 
 
+def facets_of(vertices, faces):
+    """The triangles of a mesh, of geom 0."""
+    geom, closed = np.zeros(len(faces), np.int32), np.zeros(len(faces), np.uint8)
+    return Facets(vertices, faces, geom, geom, closed)
+
+
 def test_normals(mesh):
     corners = mesh[0][mesh[1]]
-    normal = np.array([unit_normal(corners, t) for t in range(len(corners))])
+    normal = np.array([unit_normal(*triangle) for triangle in corners])
     cross = cross_of(*mesh)
     length = np.linalg.norm(cross, axis=1, keepdims=True)
     expected = np.divide(cross, length, out=np.zeros_like(cross), where=length > 0)
@@ -65,6 +77,20 @@ def test_boxes(mesh):
         assert not np.isfinite(bounding_box(own)).all()
 
 
+def test_boxes_around_triangles(mesh):
+    """They come in batches, of some of the triangles."""
+    vertices, faces = mesh[0], np.tile(mesh[1], (300, 1))
+    facets = facets_of(vertices, faces)
+    corners = vertices[faces]
+    expected = np.hstack([corners.min(axis=1), corners.max(axis=1)])
+    batches = [(batch, boxes.copy()) for batch, boxes in boxes_in_batches(facets, 7, 29_000)]
+    assert len(batches) > 2
+    assert [batch.start for batch, _ in batches[1:]] == [batch.stop for batch, _ in batches[:-1]]
+    np.testing.assert_array_equal(
+        np.concatenate([boxes for _, boxes in batches]), expected[7:29_000]
+    )
+
+
 def test_used_vertices(mesh):
     vertices, faces = mesh[0], np.tile(mesh[1], (1000, 1))
     used, index = drop_unused_vertices(vertices, faces)
@@ -88,11 +114,11 @@ def test_facing_and_spans(mesh):
     step = np.pi / 2 / NUM_DIRECTIONS
     facing = FacingAreas(4)
     for batch in (slice(0, 37), slice(37, 100)):  # in any batches
-        facing.add(corners[batch], group[batch])
+        facing.add(facets_of(mesh[0], mesh[1][batch]), group[batch])
     angles = facing.find_angles()
     low, high = np.full((4, 3), np.inf), np.full((4, 3), -np.inf)
     way = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    measure_spans(corners, group, way, low, high)
+    measure_spans(*mesh, group, way, low, high)
     for k, angle in enumerate(angles):
         own = group == k
         cross = cross_of(*mesh)[own]
