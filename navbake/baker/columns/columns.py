@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns.hit_kernels import DROPPED, RIM_WIDTH
+from navbake.baker.columns.hit_kernels import RIM_WIDTH
 from navbake.baker.columns.ray_kernels import LINES_PER_CALL, Geometry, Lines, cast_lines
 from navbake.baker.core.arrays import ColumnHits, Facets, HeightRange, ShapeIndex
 from navbake.baker.core.blocks import join_arrays
@@ -28,8 +28,6 @@ from navbake.types import Float, Int, Int32
 CELLS_PER_CHUNK = 1 << 20
 # Fewer lines than this are not worth a call on another thread
 MIN_POINTS_PER_CALL = 1024
-# Columns of about this many lines are copied together when superfluous hits are removed
-LINES_PER_BATCH = 1 << 14
 # Boxes are listed on several threads, in this many chunks for each, if there are more than
 # MIN_BOXES_PER_TILE_FOR_THREADS boxes for each tile; fewer are listed on one thread
 BOX_CHUNKS_PER_THREAD = 2
@@ -429,13 +427,12 @@ def _cast_groups(
         min_groups_per_call: smallest number of groups for one call, see `run_in_chunks`.
     """
     geometry = tiled_shapes.geometry
-    num_dropped = np.zeros(group_range.stop, dtype=np.int64)
+    num_dropped = np.zeros(len(start), dtype=np.int32)
     is_crossed = np.empty(len(shape_index.triangle_indices), dtype=np.bool_)
+    end_of_chunk = dict[int, int]()  # by its first group: the index after its last hit
 
-    def cast_all(hits: ColumnHits) -> None:
-        run_in_chunks(
-            cast_lines,
-            len(group_range),
+    def cast_chunk(hits: ColumnHits, first_group: int, end_group: int) -> None:
+        end_of_chunk[first_group] = cast_lines(
             tiled_shapes.lattice,
             lines,
             geometry,
@@ -443,6 +440,15 @@ def _cast_groups(
             is_crossed,
             hits,
             num_dropped,
+            first_group,
+            end_group,
+        )
+
+    def cast_all(hits: ColumnHits) -> None:
+        run_in_chunks(
+            cast_chunk,
+            len(group_range),
+            hits,
             min_chunk_size=min_groups_per_call,
             begin=group_range.start,
         )
@@ -453,57 +459,18 @@ def _cast_groups(
     hits = empty_hits(start, int(hit_ends[-1]))
     if len(hits.z):
         cast_all(hits)
-    if num_dropped.any():
-        lines_per_group = LINES_PER_CALL if len(lines.points) else TILE * tiled_shapes.lattice.width
-        hits = _remove_dropped_hits(hits, group_range, lines_per_group, num_dropped)
-    return hits
-
-
-def _remove_dropped_hits(
-    hits: ColumnHits, group_range: range, lines_per_group: int, num_dropped: Int
-) -> ColumnHits:
-    """Remove the hits that are marked as superfluous, by DROPPED in place of their geom.
-
-    Args:
-        hits: the hits; `start` is changed.
-        group_range: numbers of the groups of lines.
-        lines_per_group: how many lines a group has.
-        num_dropped: how many hits of each group are DROPPED, shape (groups.stop,).
-    """
-    num_dropped_before = np.append(0, np.cumsum(num_dropped))
-    first_hit_of_group = hits.start[group_range.start * lines_per_group :: lines_per_group][
-        : len(group_range)
-    ]
-    hit_limits_of_groups = [*first_hit_of_group.tolist(), len(hits.z)]
-    remaining_hits = empty_hits(hits.start, len(hits.z) - int(num_dropped_before[-1]))
-
-    def copy_remaining(first_group: int, end_group: int) -> None:
-        old_first_hit = hit_limits_of_groups[first_group - group_range.start]
-        old_end_hit = hit_limits_of_groups[end_group - group_range.start]
-        new_first_hit = old_first_hit - int(num_dropped_before[first_group])
-        new_end_hit = old_end_hit - int(num_dropped_before[end_group])
-        hit_ends = hits.start[first_group * lines_per_group + 1 : end_group * lines_per_group + 1]
-        is_remaining = hits.geom[old_first_hit:old_end_hit] != DROPPED
-        hit_ends[:] = (
-            new_first_hit + np.append(0, np.cumsum(is_remaining))[hit_ends - old_first_hit]
-        )
-        remaining_indices = np.flatnonzero(is_remaining)
-        for old_array, new_array in zip(hits.entries, remaining_hits.entries, strict=True):
-            np.take(
-                old_array[old_first_hit:old_end_hit],
-                remaining_indices,
-                axis=0,
-                out=new_array[new_first_hit:new_end_hit],
-                mode="clip",
-            )
-
-    def copy_in_batches(first_group: int, end_group: int) -> None:
-        groups_per_batch = max(1, LINES_PER_BATCH // lines_per_group)
-        for first_in_batch in range(first_group, end_group, groups_per_batch):
-            copy_remaining(first_in_batch, min(first_in_batch + groups_per_batch, end_group))
-
-    run_in_chunks(copy_in_batches, len(group_range), begin=group_range.start)
-    return remaining_hits
+    if not num_dropped.any():
+        return hits
+    lines_per_group = LINES_PER_CALL if len(lines.points) else TILE * tiled_shapes.lattice.width
+    num_hits = 0
+    for first_group in sorted(end_of_chunk):  # each chunk moves to the end of the one before it
+        chunk = slice(int(start[first_group * lines_per_group]), end_of_chunk[first_group])
+        place = slice(num_hits, num_hits + chunk.stop - chunk.start)
+        for array in hits.entries:
+            array[place] = array[chunk]
+        num_hits = place.stop
+    hit_ends -= np.cumsum(num_dropped[start_slice])
+    return ColumnHits(start, *(array[:num_hits] for array in hits.entries))
 
 
 def select_columns(hits: ColumnHits, cells: Int) -> ColumnHits:

@@ -110,22 +110,29 @@ def _write_piece(solids, facets, shape_number, face_axis, min_normal_z, corners)
         belongs to the piece, 0 for triangles and boxes [m].
     """
     if face_axis < 0:
-        for i in range(3):
-            for k in range(3):
-                corners[i, k] = facets.vertices[facets.faces[shape_number, i], k]
-        ux = corners[1, 0] - corners[0, 0]
-        uy = corners[1, 1] - corners[0, 1]
-        uz = corners[1, 2] - corners[0, 2]
-        vx = corners[2, 0] - corners[0, 0]
-        vy = corners[2, 1] - corners[0, 1]
-        vz = corners[2, 2] - corners[0, 2]
+        vertices = facets.vertices
+        a = facets.faces[shape_number, 0]
+        b = facets.faces[shape_number, 1]
+        c = facets.faces[shape_number, 2]
+        ux = vertices[b, 0] - vertices[a, 0]
+        uy = vertices[b, 1] - vertices[a, 1]
+        vx = vertices[c, 0] - vertices[a, 0]
+        vy = vertices[c, 1] - vertices[a, 1]
+        normal_z = ux * vy - uy * vx
+        if not normal_z > 0.0:  # as of most triangles
+            return 0, 0.0
+        uz = vertices[b, 2] - vertices[a, 2]
+        vz = vertices[c, 2] - vertices[a, 2]
         normal_x = uy * vz - uz * vy
         normal_y = uz * vx - ux * vz
-        normal_z = ux * vy - uy * vx
-        if not normal_z > 0.0 or normal_z * normal_z < min_normal_z * min_normal_z * (
+        if normal_z * normal_z < min_normal_z * min_normal_z * (
             normal_x * normal_x + normal_y * normal_y + normal_z * normal_z
         ):
             return 0, 0.0
+        for k in range(3):
+            corners[0, k] = vertices[a, k]
+            corners[1, k] = vertices[b, k]
+            corners[2, k] = vertices[c, k]
         return 3, 0.0
     pos = solids.pos[shape_number]
     mat = solids.mat[shape_number]
@@ -398,6 +405,9 @@ def _list_in_tile(
             num_corners, radius = _write_piece(
                 solids, facets, shape_number, face_axis, limits.min_normal_z, corners
             )
+            if num_corners == 0:
+                face_axis += 1
+                continue
             for k in range(3):
                 box[0, k] = math.inf
                 box[0, 3 + k] = -math.inf
@@ -411,7 +421,7 @@ def _list_in_tile(
             row_end = window[0]
             col_first = 0
             col_end = 0
-            if num_corners != 0 and not _is_near_common_height(
+            if not _is_near_common_height(
                 common_heights, num_common_heights, box[0, 2], box[0, 5], limits.max_step
             ):
                 row_first, row_end, col_first, col_end = window_near_box(

@@ -16,6 +16,7 @@ from navbake.baker.core.tiles import TILE, tile_window, window_near_box
 from navbake.baker.geometry.triangle_kernels import (
     allocate_triangle,
     copy_triangle,
+    faces_up,
     unit_normal,
 )
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
@@ -94,6 +95,8 @@ def _raise_ground_to_triangles(
     reach = 0.5 * lattice.cell_size + RIM_WIDTH
     for entry in range(triangles.shape[0]):
         triangle = triangles[entry]
+        if not faces_up(facets, triangle):
+            continue
         copy_triangle(facets, triangle, triangle_copy)
         if box[0, 5] - low_z < -max_rise or box[0, 2] - high_z > max_rise:
             continue

@@ -28,8 +28,6 @@ RIM_WIDTH = 1e-7
 # Values of `LineHits.facet` of hits on other shapes than triangles
 HIT_OF_SOLID = np.int32(-1)
 HIT_OF_PLANE = np.int32(-2)
-# Value of `geom` of dropped hits; they stand after the last valid hit of their column
-DROPPED = np.int32(-1)
 # Values of `LineHits.is_at_edge`; for plain bools, numba would compile functions again
 INSIDE = np.bool_(False)
 AT_EDGE = np.bool_(True)
@@ -248,8 +246,7 @@ def finish_line(hits, first_hit, end_hit, facets, scratch_hits, scratch_index):
 
     Args:
         hits: `LineHits`; the line has the hits ``first_hit:end_hit``. They are sorted in place.
-            Hits that are left out, because another one stands for the same crossing, come last,
-            with DROPPED as their geom.
+            Hits that are left out, because another one stands for the same crossing, come last.
         first_hit: index of the line's first hit.
         end_hit: index past its last hit.
         facets: the triangles, as `Facets`.
@@ -257,12 +254,9 @@ def finish_line(hits, first_hit, end_hit, facets, scratch_hits, scratch_index):
         scratch_index: index of this room in `scratch_hits`.
 
     Returns:
-        How many hits were dropped, int64.
+        The index past the last hit that remains.
     """
     _sort_hits(hits, first_hit, end_hit, scratch_hits, scratch_index)
     if not _has_hit_at_edge(hits, first_hit, end_hit):
-        return np.int64(0)
-    remaining_end = _drop_superfluous_hits(hits, first_hit, end_hit, facets)
-    for i in range(remaining_end, end_hit):
-        hits.geom[i] = DROPPED
-    return end_hit - remaining_end
+        return end_hit
+    return _drop_superfluous_hits(hits, first_hit, end_hit, facets)

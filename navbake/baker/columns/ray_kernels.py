@@ -385,23 +385,39 @@ def _cast_plane(
 
 
 @subkernel(**NO_REFCOUNT)
-def _finish_lines(hits, first_hit, end_hit, facets, scratch_hits):
-    """Sort the hits of lines, and drop superfluous ones; return how many were dropped.
+def _finish_lines(
+    hits, first_hit, end_hit, facets, scratch_hits, column_hits, next_place, num_dropped
+):
+    """Sort the hits of lines, drop superfluous ones, and let no gaps between the others.
 
     Args:
-        hits: the hits of all these lines, as `LineHits`.
-        first_hit: index of each line's first hit in the arrays of all columns.
+        hits: the hits of all these lines, as `LineHits`; a view of a part of `column_hits`.
+        first_hit: index of each line's first hit in `column_hits`.
         end_hit: index past each line's last hit in `hits`.
         facets: the triangles, as `Facets`.
         scratch_hits: room for one hit, as `LineHits`.
+        column_hits: the hits of all columns; hits move up where others were dropped before them.
+        next_place: index in `column_hits` for the first of these hits.
+        num_dropped: receives how many hits of each line were dropped, int32.
+
+    Returns:
+        The index in `column_hits` after the last of these hits.
     """
-    num_dropped = 0
     for line in range(end_hit.shape[0]):
         first_index = first_hit[line] - first_hit[0]
-        num_dropped += finish_line(
+        remaining_end = finish_line(
             hits, first_index, end_hit[line], facets, scratch_hits, np.int64(0)
         )
-    return num_dropped
+        num_dropped[line] = end_hit[line] - remaining_end
+        for hit in range(first_hit[line], first_hit[0] + remaining_end):
+            if next_place != hit:
+                column_hits.z[next_place] = column_hits.z[hit]
+                for axis in range(3):
+                    column_hits.normal[next_place, axis] = column_hits.normal[hit, axis]
+                column_hits.geom[next_place] = column_hits.geom[hit]
+                column_hits.closed[next_place] = column_hits.closed[hit]
+            next_place += 1
+    return next_place
 
 
 @subkernel(inline="always")
@@ -693,7 +709,8 @@ def cast_lines(
     first with empty arrays for the hits, to count them, then with room for as many.
 
     A line through an edge that triangles share hits all of these triangles. Hits that would count
-    the same crossing again have DROPPED as their geom; the caller removes them.
+    the same crossing again are dropped, so that the hits of these groups end earlier than those of
+    the next groups begin; the caller closes these gaps.
 
     Args:
         lattice: the cells, as `Lattice`.
@@ -707,12 +724,15 @@ def cast_lines(
             lines through points.
         column_hits: `ColumnHits`. While counting, all arrays but `start` are empty, and entry i + 1
             of `start` receives the number of hits of line i. While writing, `start` has the running
-            sums of these numbers, and the other arrays receive the hits of line i from ``start[i]``
-            on, dropped ones last.
-        num_dropped: receives, for each group, the number of DROPPED hits, int64; written while
-            writing hits.
+            sums of these numbers, and the other arrays receive the hits of the groups, line after
+            line, from ``start[i]`` of their first line on.
+        num_dropped: zeros, as long as `start`; while writing, entry i + 1 receives how many hits of
+            line i were dropped, int32.
         first_group: number of the first group.
         end_group: number past the last one.
+
+    Returns:
+        While writing, the index after the last hit of these groups; else 0.
     """
     start = column_hits.start
     is_writing = column_hits.z.shape[0] > 0
@@ -725,6 +745,7 @@ def cast_lines(
     if not has_points:
         num_lines = lattice.height * lattice.width
         lines_per_group = TILE * lattice.width
+    next_place = start[first_group * lines_per_group] if is_writing else np.int64(0)
     for group in range(first_group, end_group):
         first_line = group * lines_per_group
         end_line = min((group + 1) * lines_per_group, num_lines)
@@ -767,9 +788,17 @@ def cast_lines(
                 is_writing,
             )
         if is_writing:
-            num_dropped[group] = _finish_lines(
-                hits, start[first_line:end_line], next_hit, geometry.facets, middle_hits
+            next_place = _finish_lines(
+                hits,
+                start[first_line:end_line],
+                next_hit,
+                geometry.facets,
+                middle_hits,
+                column_hits,
+                next_place,
+                num_dropped[first_line + 1 : end_line + 1],
             )
             continue
         for line in range(end_line - first_line):
             start[first_line + line + 1] = next_hit[line]
+    return next_place

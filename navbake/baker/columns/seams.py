@@ -177,8 +177,9 @@ def _find_seams(centers: tuple[Float, Float], axis: int, box_bounds: Float, corn
         A mask, shape (rows, cols) of the window; row 0 has the largest y.
     """
     other_axis = 1 - axis
-    lowest_corner = corners.min(axis=1)
-    highest_corner = corners.max(axis=1)
+    # of three arrays, which is faster than over an axis of three
+    lowest_corner = np.minimum(np.minimum(corners[:, 0], corners[:, 1]), corners[:, 2])
+    highest_corner = np.maximum(np.maximum(corners[:, 0], corners[:, 1]), corners[:, 2])
     first_edge = corners[:, 1] - corners[:, 0]
     second_edge = corners[:, 2] - corners[:, 0]
     # the normal's coordinate along the axis, whose sign says which way the face looks

@@ -503,10 +503,14 @@ def _mark_over_walls(region_context: RegionContext, is_candidate: Bool) -> Bool:
         )
         # dilate by a square, first along one axis, then along the other
         for mask in (is_over_region_or_wall, is_over_region_or_wall.T):
-            undilated_mask = mask.copy()
-            for k in range(1, min(eaves_depth_in_cells, len(mask) - 1) + 1):
-                mask[k:] |= undilated_mask[:-k]
-                mask[:-k] |= undilated_mask[k:]
+            depth = min(eaves_depth_in_cells, len(mask) - 1)
+            dilated_by = 0
+            while dilated_by < depth:
+                # at most one cell more than so far, so that none in between is left out
+                more = min(dilated_by + 1, depth - dilated_by)
+                mask[more:] |= mask[:-more]
+                mask[:-more] |= mask[more:]
+                dilated_by += more
         is_over_walls[region] = (
             is_over_region_or_wall.flat[region_surfaces.cell].mean() >= MIN_SHARE_OVER_WALLS
         )

@@ -93,6 +93,20 @@ def copy_triangle(facets, triangle, triangle_copy):
         box[0, 3 + k] = max(vertices[a, k], vertices[b, k], vertices[c, k])
 
 
+@subkernel(**NO_REFCOUNT)
+def faces_up(facets, triangle):
+    """Return whether a triangle faces up, however steep it is; `facets` are `Facets`."""
+    vertices = facets.vertices
+    a = facets.faces[triangle, 0]
+    b = facets.faces[triangle, 1]
+    c = facets.faces[triangle, 2]
+    ux = vertices[b, 0] - vertices[a, 0]
+    uy = vertices[b, 1] - vertices[a, 1]
+    vx = vertices[c, 0] - vertices[a, 0]
+    vy = vertices[c, 1] - vertices[a, 1]
+    return ux * vy - uy * vx > 0.0
+
+
 @kernel(nogil=True, **NO_REFCOUNT)
 def measure_boxes(vertices, faces, boxes):
     """Measure the boxes around triangles.

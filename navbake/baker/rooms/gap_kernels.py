@@ -47,6 +47,8 @@ EXACT_CHAIN = 8
 # By the side of the line that a cell is on, 0 above, 1 on, 2 below it: the bits of the cell on the
 # line in the next column for chains that end in a cell that touches this one
 BITS_OF_TOUCHING_CHAINS = 0b011, 0b111, 0b110
+# For `sweep_distances`: so many cells of a row end together
+SWEPT_COLUMNS = 256
 
 
 class GapLimits(NamedTuple):
@@ -791,8 +793,8 @@ def sweep_distances(is_target, reach, column_distance, squared_distance, begin, 
     """Measure how far each cell is from the nearest target: first along columns, then along rows.
 
     It takes two calls, as a squared Euclidean distance is the sum of two squares, one per axis
-    (Saito and Toriwaki, 1994). In the second call, all columns within `reach` are compared, which
-    the compiler vectorizes.
+    (Saito and Toriwaki, 1994). In the second call, columns are compared from the nearest on, many
+    cells at a time, which the compiler vectorizes.
 
     Args:
         is_target: the target cells, bool.
@@ -835,7 +837,8 @@ def _sweep_rows(column_distance, reach, squared_distance, first_row, end_row):
     """Write to rows of `squared_distance` how far each cell is from the nearest target, squared.
 
     It is the least sum of two squares over all columns within `reach`: of the distance to a column,
-    and of the distance to the nearest target within that column.
+    and of the distance to the nearest target within that column. Columns farther away than the
+    greatest distance so far are left out: in a corridor, most are.
     """
     num_cols = column_distance.shape[1]
     squared_beyond_reach = np.int32((reach + 1) ** 2)
@@ -843,15 +846,25 @@ def _sweep_rows(column_distance, reach, squared_distance, first_row, end_row):
     for col in range(reach):
         padded_squares[col] = padded_squares[num_cols + reach + col] = squared_beyond_reach
     for row in range(first_row, end_row):
-        row_distances = squared_distance[row]
         for col in range(num_cols):
             distance = np.int32(column_distance[row, col])
             padded_squares[col + reach] = distance * distance
-            row_distances[col] = squared_beyond_reach
-        for col_shift in range(2 * reach + 1):
-            squared_col_distance = np.int32((col_shift - reach) ** 2)
-            shifted_squares = padded_squares[col_shift : col_shift + num_cols]
-            for col in range(num_cols):
-                row_distances[col] = min(
-                    row_distances[col], np.int32(shifted_squares[col] + squared_col_distance)
-                )
+        for first_col in range(0, num_cols, SWEPT_COLUMNS):
+            end_col = min(first_col + SWEPT_COLUMNS, num_cols)
+            distances = squared_distance[row, first_col:end_col]
+            squares = padded_squares[first_col : end_col + 2 * reach]
+            greatest = np.int32(0)
+            for col in range(distances.shape[0]):
+                distances[col] = squares[reach + col]
+                greatest = max(greatest, distances[col])
+            for col_shift in range(1, reach + 1):
+                squared_shift = np.int32(col_shift * col_shift)
+                if squared_shift >= greatest:
+                    break
+                left_squares = squares[reach - col_shift :]
+                right_squares = squares[reach + col_shift :]
+                greatest = np.int32(0)
+                for col in range(distances.shape[0]):
+                    nearer_square = min(left_squares[col], right_squares[col])
+                    distances[col] = min(distances[col], np.int32(nearer_square + squared_shift))
+                    greatest = max(greatest, distances[col])

@@ -606,8 +606,8 @@ class SpaceMerger:
                     is_cast = np.ones_like(needs_rays)
                 else:
                     is_cast = needs_rays
-                for cells in (lines.wall_cell, lines.opening_cell):
-                    self._rays.measure(direction, cells[is_cast].reshape(-1, 2))
+                cells = np.stack([lines.wall_cell[is_cast], lines.opening_cell[is_cast]])
+                self._rays.measure(direction, cells.reshape(-1, 2))
                 _, shares_to_walls, _, _ = kernels.measure_gaps(
                     scan, direction_gaps, gap_numbers[needs_rays], self.space_of_label, gap_walls
                 )

@@ -348,13 +348,22 @@ def test_an_edge_of_two_triangles_never_leaks(tmp_path: Path, seed: int) -> None
         np.testing.assert_allclose(columns.z, [z], atol=1e-9)
 
 
-def test_an_edge_of_two_triangles_is_crossed_once(tmp_path: Path) -> None:
-    """The edge runs through the centres of 201 cells, as near as float32 vertices have it."""
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_edge_of_two_triangles_is_crossed_once(tmp_path: Path, threads: int) -> None:
+    """The edge runs through the centres of 201 cells, as near as float32 vertices have it.
+
+    One of two hits is dropped there, and those of all further lines move up.
+    """
     scene, _ = quad(tmp_path, seed=0)
     lattice = Lattice.cover((-2.9, -1.9, 2.9, 1.9), 0.01, margin=0.005)
     x, y = np.meshgrid(lattice.center_x(), lattice.center_y())
     assert (np.abs(2 * x - 3 * y) < 1e-9).sum() > 190
-    np.testing.assert_array_equal(np.diff(cast(scene, lattice).start), 1)
+    columns = cast(scene, lattice, threads)
+    np.testing.assert_array_equal(np.diff(columns.start), 1)
+    steepness = np.random.default_rng(0).uniform(-1, 1, 2)
+    expected = (np.stack([x, y], axis=-1) @ steepness).ravel()
+    np.testing.assert_allclose(columns.z, expected, atol=1e-6)
+    assert len(columns.normal) == len(columns.geom) == len(columns.hits.closed) == x.size
 
 
 def box(center: NDArray, half: NDArray, yaw: float) -> str:
