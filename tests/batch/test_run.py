@@ -750,9 +750,9 @@ def test_scenes_are_read_by_workers_alone(scenes, monkeypatch):
 def test_a_scene_that_is_endless_to_read_is_told(scenes, monkeypatch):
     """Its own bake, which has limits too, is for it to fail."""
     monkeypatch.setattr(run_module, "inspect_scenes", inspect_for_ever)
-    monkeypatch.setattr(run_module, "MIN_INSPECTION_SECONDS", 20.0)
+    monkeypatch.setattr(run_module, "MIN_INSPECTION_SECONDS", 10.0)
     (scenes / "endless.xml").write_text("<mujoco/>")
     jobs = list_jobs(["scenes/endless.xml", "scenes/first.xml"])
     plan = job_module.Plan(Path("out").absolute(), SETTINGS)
     rows = preview_batch(plan, jobs, limits=JobLimits(seconds=2.0))
-    assert [row["why"] for row in rows] == ["broken: it took more than 20 s", "new"]
+    assert [row["why"] for row in rows] == ["broken: it took more than 10 s", "new"]
