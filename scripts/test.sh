@@ -20,9 +20,11 @@ ruff check
 ruff format --check
 mypy
 navbake warm-up # compiled once, before several processes need it
+# one more than there are cores, at most 4: some tests wait for the processes that they start
+processes=$(python -c "import os; print(min((os.cpu_count() or 1) + 1, 4))")
 # -rs lists what was skipped, and why; the tests of a file stay in one process, and the files that
 # take long come first, see tests/conftest.py: xdist would put those with few tests last
-python -m pytest -rs --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder "$@"
+python -m pytest -rs --numprocesses "$processes" --dist loadfile --no-loadscope-reorder "$@"
 if [ -n "$missing" ]; then
     echo "$0: skipped the tests that need $missing" >&2
     echo "$0: jax and torch come with: .venv/bin/pip install -e '.[tensors-test]'" >&2
