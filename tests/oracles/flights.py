@@ -37,7 +37,10 @@ def distance_of_line(begin: Floats, end: Floats, cubes: Floats, res: float) -> f
 
 
 def distances_of_line(begin: Floats, end: Floats, cubes: Floats, res: float) -> Floats:
-    """The distance of a line from each cube: golden sections, all at once."""
+    """The distance of a line from each cube: golden sections, all at once.
+
+    Each cube may have a line of its own: `begin` and `end` are then arrays like `cubes`.
+    """
     ratio = (np.sqrt(5.0) - 1.0) / 2.0
 
     def measure(shares: Floats) -> Floats:
@@ -75,22 +78,28 @@ def make_graph(
     cubes = voxels.centers()
     origin = np.array(voxels.origin)
     rows, columns, costs = [], [], []
-    for voxel in np.argwhere(is_free):
-        for step in NEIGHBOURS:
-            end = voxel + step
-            if (end < 0).any() or (end >= voxels.shape).any() or not is_free[tuple(end)]:
-                continue
-            begin_at = origin + (voxel + 0.5) * voxels.res
-            end_at = origin + (end + 0.5) * voxels.res
-            near = cubes[np.abs(cubes - begin_at).max(axis=1) < radius + 2.0 * voxels.res]
-            if distance_of_line(begin_at, end_at, near, voxels.res) < radius - TOLERANCE:
-                continue
-            weights = [1.0 + cost / distances[tuple(each)] for each in (voxel, end)]
-            rows.append(np.ravel_multi_index(tuple(voxel), voxels.shape))
-            columns.append(np.ravel_multi_index(tuple(end), voxels.shape))
-            costs.append(np.linalg.norm(step) * voxels.res * sum(weights) / 2)
+    for step in NEIGHBOURS:
+        begins = np.argwhere(is_free)
+        ends = begins + step
+        is_inside = ((ends >= 0) & (ends < voxels.shape)).all(axis=1)
+        begins, ends = begins[is_inside], ends[is_inside]
+        begins, ends = begins[is_free[tuple(ends.T)]], ends[is_free[tuple(ends.T)]]
+        begin_at = origin + (begins + 0.5) * voxels.res
+        end_at = origin + (ends + 0.5) * voxels.res
+        is_near = np.abs(cubes - begin_at[:, None]).max(axis=2) < radius + 2.0 * voxels.res
+        move, cube = np.nonzero(is_near)
+        least = np.full(len(begins), np.inf)
+        pair_distances = distances_of_line(begin_at[move], end_at[move], cubes[cube], voxels.res)
+        np.minimum.at(least, move, pair_distances)
+        is_clear = least >= radius - TOLERANCE
+        begins, ends = begins[is_clear], ends[is_clear]
+        weights = [1.0 + cost / distances[tuple(each.T)] for each in (begins, ends)]
+        rows.append(np.ravel_multi_index(tuple(begins.T), voxels.shape))
+        columns.append(np.ravel_multi_index(tuple(ends.T), voxels.shape))
+        costs.append(np.linalg.norm(step) * voxels.res * (weights[0] + weights[1]) / 2)
     size = voxels.values.size
-    return coo_array((costs, (rows, columns)), shape=(size, size)).tocsr()
+    entries = np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns))
+    return coo_array(entries, shape=(size, size)).tocsr()
 
 
 def make_large_graph(voxels: VoxelGrid, radius: float, cost: float = 0.0) -> csr_array:
