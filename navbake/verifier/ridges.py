@@ -87,11 +87,12 @@ class RidgeProbe:
         inverse_lengths = [0.0, 0.0]
         for axis, (row_offset, col_offset) in enumerate(AXIS_OFFSETS):
             end_ahead = self._walk(row, col, row_offset, col_offset, z)
+            if not end_ahead.is_drop:
+                continue
             end_behind = self._walk(row, col, -row_offset, -col_offset, z)
-            num_cells = (
-                end_ahead.num_cells + end_behind.num_cells
-            )  # one less than the cells of the row
-            if not end_ahead.is_drop or not end_behind.is_drop or num_cells > self._max_cells:
+            # one less than the cells of the row
+            num_cells = end_ahead.num_cells + end_behind.num_cells
+            if not end_behind.is_drop or num_cells > self._max_cells:
                 continue
             inverse_lengths[axis] = 1 / max(
                 num_cells * self._lattice.cell_size, SAME_HEIGHT_TOLERANCE
