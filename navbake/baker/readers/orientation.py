@@ -379,7 +379,9 @@ def _find_axes(normal: Float, area: Float) -> list[Float]:
         min_chunk_size=1024,
     )
     area_of_axis = np.bincount(nearest_axis, area, NUM_AXES)
-    facing_area = (np.abs(axes @ axes.T) >= MIN_FACING_COSINE) @ area_of_axis
+    faced_axes = np.flatnonzero(area_of_axis)  # few, as in most scenes most surfaces are flat
+    is_near_faced_axis = np.abs(axes @ axes[faced_axes].T) >= MIN_FACING_COSINE
+    facing_area = is_near_faced_axis @ area_of_axis[faced_axes]
     directions: list[Float] = []
     for _ in range(MAX_SEARCHED_AXES):
         start_axis = axes[facing_area.argmax()]
