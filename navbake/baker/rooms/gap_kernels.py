@@ -837,8 +837,8 @@ def _sweep_rows(column_distance, reach, squared_distance, first_row, end_row):
     """Write to rows of `squared_distance` how far each cell is from the nearest target, squared.
 
     It is the least sum of two squares over all columns within `reach`: of the distance to a column,
-    and of the distance to the nearest target within that column. Columns farther away than the
-    greatest distance so far are left out: in a corridor, most are.
+    and of the distance to the nearest target within that column. Columns that are too far away to
+    lessen the greatest distance so far are left out: most are, in corridors and far from targets.
     """
     num_cols = column_distance.shape[1]
     squared_beyond_reach = np.int32((reach + 1) ** 2)
@@ -853,13 +853,16 @@ def _sweep_rows(column_distance, reach, squared_distance, first_row, end_row):
             end_col = min(first_col + SWEPT_COLUMNS, num_cols)
             distances = squared_distance[row, first_col:end_col]
             squares = padded_squares[first_col : end_col + 2 * reach]
+            least = squared_beyond_reach
+            for col in range(squares.shape[0]):
+                least = min(least, squares[col])
             greatest = np.int32(0)
             for col in range(distances.shape[0]):
                 distances[col] = squares[reach + col]
                 greatest = max(greatest, distances[col])
             for col_shift in range(1, reach + 1):
                 squared_shift = np.int32(col_shift * col_shift)
-                if squared_shift >= greatest:
+                if least + squared_shift >= greatest:
                     break
                 left_squares = squares[reach - col_shift :]
                 right_squares = squares[reach + col_shift :]

@@ -56,9 +56,9 @@ from navbake.baker.rooms.gap_limits import (
 from navbake.baker.rooms.walls import (
     WallDirection,
     WallRays,
+    both_scan_orders,
     find_directions,
     from_scan_order,
-    to_scan_order,
 )
 from navbake.threads import run_beside
 from navbake.types import Bool, Int, Int32
@@ -141,6 +141,9 @@ def find_gaps(
     directions = find_directions(is_passable, cell_size, rays)
     marks, is_marked = _mark_gap_lines(is_passable, is_closed, directions, cell_size, door_width)
     label, num_cells = label_spaces(is_open, is_marked, cell_size)
+    scanned_label = both_scan_orders(label)
+    scanned_is_open = both_scan_orders(is_passable & ~is_closed)
+    scanned_is_marked = both_scan_orders(is_marked)
     direction_gaps = []
     for direction, direction_marks in zip(directions, marks, strict=True):
         depths_in_rows = np.array(
@@ -150,15 +153,15 @@ def find_gaps(
             ]
         )
         scan = Scan(
-            label=to_scan_order(label, direction),
-            is_open=to_scan_order(is_passable & ~is_closed, direction),
+            label=scanned_label[direction.is_swapped],
+            is_open=scanned_is_open[direction.is_swapped],
             shift=direction.shift,
             depths=depths_in_rows,
             leans=np.rint(depths_in_rows * direction.slope / direction.length_per_column**2).astype(
                 np.int64
             ),
         )
-        gaps = _list_gaps(scan, to_scan_order(is_marked, direction), direction_marks)
+        gaps = _list_gaps(scan, scanned_is_marked[direction.is_swapped], direction_marks)
         direction_gaps.append(DirectionGaps(direction, scan, gaps))
     return SeparatedSpaces(direction_gaps, label, num_cells)
 
@@ -190,7 +193,11 @@ def _mark_gap_lines(
         or marked in any direction, shape (height, width).
     """
     marks = [
-        np.zeros_like(to_scan_order(is_passable, direction), dtype=np.uint8)
+        np.zeros(
+            is_passable.shape[::-1] if direction.is_swapped else is_passable.shape,
+            dtype=np.uint8,
+            order="F",
+        )
         for direction in directions
     ]
     is_marked = is_closed.copy()
@@ -199,7 +206,7 @@ def _mark_gap_lines(
         (max(MAX_OPENING_WIDTH, configured_width), True),
         (max(MAX_PASSAGE_WIDTH, configured_width), False),
     ):
-        is_unmarked = is_passable & ~is_marked
+        scanned_is_unmarked = both_scan_orders(is_passable & ~is_marked)
         wait_functions = []
         for direction, direction_marks in zip(directions, marks, strict=True):
             column_length = direction.length_per_column * cell_size  # along the lines [m]
@@ -210,14 +217,15 @@ def _mark_gap_lines(
                 max_thickness=int(MAX_WALL_THICKNESS * direction.length_per_column / cell_size) + 2,
                 marks_only_doorways=marks_only_doorways,
             )
-            is_open = to_scan_order(is_unmarked, direction)
-            is_near_wall = to_scan_order(direction.is_near_wall, direction).copy("K")
+            is_near_wall = direction.is_near_wall
+            if direction.is_swapped:
+                is_near_wall = is_near_wall.T
             wait_functions.append(
                 run_beside(
                     kernels.mark_gaps,
-                    is_open,
+                    scanned_is_unmarked[direction.is_swapped],
                     direction.shift,
-                    is_near_wall,
+                    np.array(is_near_wall, order="F"),  # a copy, which is changed
                     limits,
                     direction_marks,
                 )

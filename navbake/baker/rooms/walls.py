@@ -485,23 +485,25 @@ def make_direction(angle: float, shape: tuple[int, ...]) -> WallDirection:
     )
 
 
-def to_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArray[ScalarT]:
-    """Arrange an array of cells as kernels scan it in a direction.
+def both_scan_orders(array: NDArray[ScalarT]) -> tuple[NDArray[ScalarT], NDArray[ScalarT]]:
+    """Arrange an array of the lattice as it is scanned along directions of walls.
 
     Rows and columns are swapped if the direction needs it, and each column is contiguous in memory.
+    All directions that are swapped, or that are not, share one array.
 
     Args:
         array: an array with an entry for each cell, shape (height, width).
-        direction: the direction of the scan.
 
     Returns:
-        The array in Fortran order, a view or a copy; `from_scan_order` is the inverse.
+        The array in Fortran order, a view or a copy, for directions that aren't swapped, and for
+        those that are: ``both_scan_orders(array)[direction.is_swapped]``. `from_scan_order` is the
+        inverse.
     """
-    return np.asfortranarray(array.T if direction.is_swapped else array)
+    return np.asfortranarray(array), np.asfortranarray(array.T)
 
 
 def from_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArray[ScalarT]:
-    """Turn an array that `to_scan_order` arranged back into the lattice's rows and columns.
+    """Turn an array that `both_scan_orders` arranged back into the lattice's rows and columns.
 
     The array that is returned is a view.
 
@@ -811,10 +813,12 @@ def find_windows(is_low: Bool, is_wall: Bool, cell_size: float) -> Bool:
     if not is_low.any():
         return is_window
     scans = []
+    scanned_is_low = both_scan_orders(is_low)
+    scanned_is_wall = both_scan_orders(is_wall)
     for direction in find_directions(~is_wall, cell_size):
         # drawn sills are as wide as their wall, so that each line of theirs ends at it
-        is_low_in_scan = to_scan_order(is_low, direction)
-        is_wall_in_scan = to_scan_order(is_wall, direction)
+        is_low_in_scan = scanned_is_low[direction.is_swapped]
+        is_wall_in_scan = scanned_is_wall[direction.is_swapped]
         is_sill = np.zeros_like(is_low_in_scan)
         wait_for_sills = run_beside(
             kernels.mark_sills, is_low_in_scan, is_wall_in_scan, direction.shift, is_sill
