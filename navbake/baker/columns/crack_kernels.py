@@ -506,7 +506,7 @@ def list_sides(
         and how many of its first rows are valid.
     """
     geometry = TiledGeometry(solids, facets, tile_index)
-    scratch = _make_scratch(256)
+    scratch = _make_scratch(np.int64(256))
     sides = np.empty((256, NUMBERS_PER_SIDE))
     num_sides = np.int64(0)
     for tile in range(first_tile, end_tile):

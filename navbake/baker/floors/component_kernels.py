@@ -20,10 +20,13 @@ from navbake.baker.floors.surface_kernels import EAST, STANDABLE, UNCOVERED, are
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Int, Int32
 
-# Kinds of pairs of components
-JOINED = 0  # they are connected, and only the border of two blocks divides them
-LINKED = 1  # they are not connected, but an agent can step from one to the other
-STACKED = 2  # in a cell, the first lies above the second one, with no other component between them
+# Kinds of pairs of components; for plain ints, numba would compile `count_row` once for each
+JOINED = np.int64(0)  # they are connected, and only the border of two blocks divides them
+LINKED = np.int64(1)  # they are not connected, but an agent can step from one to the other
+# In a cell, the first lies above the second one, with no other component between them
+STACKED = np.int64(2)
+# In place of a number that rows of `count_row` don't need
+NO_NUMBER = np.int64(0)
 # Height of the bins of a histogram of heights: blocks of cells are counted one by one, and counts
 # in the same bin are added up. Also the largest difference in height of adjacent surfaces of one
 # plateau, which is a tread, a landing or a piece of a ramp [m]
@@ -98,7 +101,7 @@ def count_row(rows, first_row, num_rows, likely_row, first_number, second_number
         likely_row: index of the row that is looked at first. In a tower, most columns count the
             same numbers in the same order: the row after that of the last count in the column, or
             else the first row of the column before.
-        first_number: the first of the three numbers.
+        first_number: the first of the three numbers; int64, as they all are.
         second_number: the second number.
         third_number: the third number.
 
@@ -246,7 +249,7 @@ def label_blocks(
         # unite each cell's surfaces with the surfaces of its western and northern neighbors
         for row in range(row0, row1):
             for cell in range(row * width + col0, row * width + col1):
-                first_in_cell = first_surface[cell]
+                first_in_cell = np.int64(first_surface[cell])
                 end_in_cell = end_surface[cell]
                 for j in range(first_in_cell, end_in_cell):
                     component_of_surface[j] = (
@@ -387,8 +390,8 @@ def list_pairs(
                             num_rows_before,
                             num_rows,
                             likely_row,
-                            overall_number[surface],
-                            number_below,
+                            np.int64(overall_number[surface]),
+                            np.int64(number_below),
                             STACKED,
                         )
                         if row_index < 0:
@@ -412,7 +415,7 @@ def list_pairs(
                     end_in_neighbor = end_surface[neighbor]
                     likely_row = first_eastern_row if direction == EAST else first_southern_row
                     has_counted = False
-                    for surface in range(first_surface[cell], end_surface[cell]):
+                    for surface in range(np.int64(first_surface[cell]), end_surface[cell]):
                         if number_in_block[surface] < 0:
                             continue
                         # heights ascend in both cells, so `first_near_surface` only moves up
@@ -455,7 +458,7 @@ def list_pairs(
                                 num_rows_before,
                                 num_rows,
                                 likely_row,
-                                overall_number[surface],
+                                np.int64(overall_number[surface]),
                                 neighbor_number,
                                 pair_kind,
                             )
@@ -534,8 +537,8 @@ def cross_tabulate(
                         num_rows_before,
                         num_rows,
                         likely_row,
-                        label_of_surface[j],
-                        second_label_of_surface[j],
+                        np.int64(label_of_surface[j]),
+                        np.int64(second_label_of_surface[j]),
                         level_or_bin,
                     )
                     if row_index < 0:

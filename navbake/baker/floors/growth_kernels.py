@@ -167,7 +167,7 @@ def start_growth(labelled_surfaces, growth_state, blocks, row_counts, row_arrays
         all did.
     """
     (cells,) = row_arrays
-    num_cells = 0
+    num_cells = np.int64(0)
     surfaces = growth_state.surfaces
     ring_of_cell = growth_state.ring_of_cell
     lattice = surfaces.lattice
@@ -327,7 +327,7 @@ def grow_ring(growth_state, ring_number, cells_to_grow, row_counts, row_arrays, 
         room.
     """
     (cells,) = row_arrays
-    num_cells = 0
+    num_cells = np.int64(0)
     for index in range(begin, end):
         num_cells_before = num_cells
         # a cell has up to four neighbors to list
@@ -350,7 +350,7 @@ def grow_remaining_rings(growth_state, ring_number, cells_to_grow):
     """
     while cells_to_grow.shape[0] > 0:
         next_cells = np.empty(4 * cells_to_grow.shape[0], np.int64)
-        num_next_cells = 0
+        num_next_cells = np.int64(0)
         for cell in cells_to_grow:
             if _grow_into(growth_state, cell, ring_number):
                 num_next_cells = _list_open_neighbors(
@@ -414,7 +414,7 @@ def list_links(
                         continue
                     first_near_surface = first_surface[neighbor]
                     end_in_neighbor = end_surface[neighbor]
-                    for surface in range(first_surface[cell], end_surface[cell]):
+                    for surface in range(np.int64(first_surface[cell]), end_surface[cell]):
                         # heights ascend in both cells, so `first_near_surface` only moves up
                         while (
                             first_near_surface < end_in_neighbor

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.core.tiles import BLOCK, block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK
-from navbake.baker.floors.component_kernels import count_row, height_bin
+from navbake.baker.floors.component_kernels import NO_NUMBER, count_row, height_bin
 from navbake.baker.floors.region_kernels import region_of_surface, shrink
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Bool, Float, Int32
@@ -218,7 +218,7 @@ def _count_block(surfaces, candidates, selection, area_test, block, masks, row_a
                         counted_mask[row - row0 + radius, col - col0 + radius] = 1
                         continue
                     row_index = count_row(
-                        rows, num_rows_before, num_rows, likely_row, band, height_bin(z), 0
+                        rows, num_rows_before, num_rows, likely_row, band, height_bin(z), NO_NUMBER
                     )
                     if row_index < 0:
                         return row_index
@@ -385,9 +385,9 @@ def assign_surfaces_to_levels(
                         num_rows_before,
                         num_rows,
                         likely_row,
-                        component_of_surface[j],
-                        0,
-                        level_of_surface[j],
+                        np.int64(component_of_surface[j]),
+                        NO_NUMBER,
+                        np.int64(level_of_surface[j]),
                     )
                     if row_index < 0:
                         return block_index

@@ -14,6 +14,10 @@ from navbake.baker.floors.region_kernels import region_of_surface, surface_of_sa
 from navbake.baker.floors.surface_kernels import EAST, SOUTH, STANDABLE, are_joined_by_slopes
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 
+# Signs of steps along an axis; for plain ints, numba would compile functions once for each
+FORWARD = np.int64(1)
+BACKWARD = np.int64(-1)
+
 
 @subkernel(**NO_REFCOUNT)
 def _next_cell(lattice, cell, axis, sign):
@@ -23,7 +27,8 @@ def _next_cell(lattice, cell, axis, sign):
         lattice: the `Lattice`.
         cell: the id of the cell.
         axis: EAST or SOUTH.
-        sign: 1 for the neighbor in that direction, -1 for the one in the opposite direction.
+        sign: FORWARD for the neighbor in that direction, BACKWARD for the one in the opposite
+            direction.
     """
     if axis == EAST:
         col = cell % lattice.width + sign
@@ -60,7 +65,7 @@ def _find_joined_surface(surfaces, rule, surface, neighbor, axis, sign):
         surface: the id of a surface.
         neighbor: the id of the cell next to that of the surface; -1 for none.
         axis: EAST or SOUTH.
-        sign: 1 if the neighbor lies in that direction, -1 if it lies in the opposite direction.
+        sign: FORWARD if the neighbor lies in that direction, BACKWARD if in the opposite one.
 
     Returns:
         The id of the surface, -1 for none; of several, the one nearest in height.
@@ -157,30 +162,30 @@ def list_narrow_runs(
         row0, row1, col0, col1 = block_window(surfaces.lattice, blocks[block_index])
         for row in range(row0, row1):
             for cell in range(row * width + col0, row * width + col1):
-                for j in range(surfaces.first[cell], surfaces.end[cell]):
+                for j in range(np.int64(surfaces.first[cell]), surfaces.end[cell]):
                     if region_of_surface(labelled_surfaces, j) < 0:
                         continue
                     for axis in range(SOUTH + 1):
                         if _is_likely_joined(surfaces, rule, j, row, cell, axis):
                             continue
-                        next_cell = _next_cell(surfaces.lattice, cell, axis, 1)
+                        next_cell = _next_cell(surfaces.lattice, cell, axis, FORWARD)
                         if _has_surface_within_step(surfaces, rule, j, next_cell):
                             continue
-                        if _find_joined_surface(surfaces, rule, j, next_cell, axis, 1) >= 0:
+                        if _find_joined_surface(surfaces, rule, j, next_cell, axis, FORWARD) >= 0:
                             continue
                         num_cells = 1
-                        end_surface = np.int64(j)
+                        end_surface = j
                         end_cell = cell
-                        next_cell = _next_cell(surfaces.lattice, cell, axis, -1)
+                        next_cell = _next_cell(surfaces.lattice, cell, axis, BACKWARD)
                         while num_cells <= max_cells:
                             next_surface = _find_joined_surface(
-                                surfaces, rule, end_surface, next_cell, axis, -1
+                                surfaces, rule, end_surface, next_cell, axis, BACKWARD
                             )
                             if next_surface < 0:
                                 break
                             end_surface = next_surface
                             end_cell = next_cell
-                            next_cell = _next_cell(surfaces.lattice, end_cell, axis, -1)
+                            next_cell = _next_cell(surfaces.lattice, end_cell, axis, BACKWARD)
                             num_cells += 1
                         if num_cells > max_cells:
                             continue
@@ -223,5 +228,5 @@ def list_surfaces_of_runs(surfaces, rule, runs, first_row_of_run, surface_cells,
         for k in range(runs[run, 1]):
             surface_cells[first_row_of_run[run] + k, 0] = surface
             surface_cells[first_row_of_run[run] + k, 1] = cell
-            cell = _next_cell(surfaces.lattice, cell, axis, -1)
-            surface = _find_joined_surface(surfaces, rule, surface, cell, axis, -1)
+            cell = _next_cell(surfaces.lattice, cell, axis, BACKWARD)
+            surface = _find_joined_surface(surfaces, rule, surface, cell, axis, BACKWARD)

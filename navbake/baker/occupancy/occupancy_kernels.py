@@ -81,7 +81,7 @@ if TYPE_CHECKING:  # kernels depend on kernels alone
 
 BLOCKED_BY_LINE = 64  # flag of a query: its cell's vertical line alone proves it occupied
 NO_GEOM = np.int32(2**31 - 1)  # greater than all geom ids
-FIRST_CAPACITY = 1024  # how many entries arrays have room for at first
+FIRST_CAPACITY = np.int64(1024)  # how many entries arrays have room for at first
 
 
 class TileEntries(NamedTuple):
