@@ -73,7 +73,7 @@ class Components(NamedTuple):
         """Return the number of components."""
         return len(self.measures)
 
-    def list_pairs_of_kind(self, kind: int) -> Int:
+    def list_pairs_of_kind(self, kind: np.int64) -> Int:
         """Return those of `pairs` that have one kind (JOINED, LINKED or STACKED), shape (n, 4)."""
         _, _, kinds, _ = self.pairs.T
         pairs: Int = self.pairs[kinds == kind]
