@@ -531,7 +531,8 @@ class SceneGrid2D(GridBase):
         of the layer is not uint8, cells where it is not 0 are occupied. The array is read-only,
         unless it is the one in `attributes`.
         """
-        return _as_flags(self.attributes.get("occupancy", ~self.free))
+        stored_layer = self.attributes.get("occupancy")
+        return _as_flags(~self.free if stored_layer is None else stored_layer)
 
     @property
     def solid(self) -> NDArray[np.uint8]:

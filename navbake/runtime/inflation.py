@@ -143,19 +143,17 @@ def inflate(
             is_blocked = ~level.free
         else:
             is_blocked = find_blocked(grid, level_number, radius, ledges)
-        free_weights = level.weights
+        weights = level.weights.copy()
         if "solid" in level.attributes:
-            is_freed = level.free_for_point & ~level.free
-            free_weights = np.where(is_freed, 1.0, free_weights)
+            weights[level.free_for_point & ~level.free] = 1.0
         if costs == "nav2":
             level_costs = nav2_costs(grid, radius, radius + clearance, scaling, level=level_number)
-            free_weights = np.maximum(free_weights, np.clip(level_costs, 1, MAX_FREE_COST))
+            np.maximum(weights, np.clip(level_costs, 1, MAX_FREE_COST), out=weights)
         elif clearance > 0:
             is_in_clearance = find_blocked(grid, level_number, radius + clearance, ledges)
-            free_weights = np.where(
-                is_in_clearance, np.maximum(free_weights, STEP_COST), free_weights
-            )
-        weights_by_level.append(np.where(is_blocked, np.inf, free_weights))
+            np.maximum(weights, STEP_COST, out=weights, where=is_in_clearance)
+        weights[is_blocked] = np.inf
+        weights_by_level.append(weights)
 
     inflation_entry: Json = {"radius": float(radius), "clearance": float(clearance), "mode": mode}
     if mode == "exact":
