@@ -20,6 +20,7 @@ from navbake.baker.core.bisection_kernels import find_first_at_or_above
 from navbake.baker.core.constants import BOX, CAPSULE, CYLINDER
 from navbake.baker.core.tiles import TILE, cell_center_at, tile_window, window_near_box
 from navbake.baker.core.tolerances import LIMIT_SLACK
+from navbake.baker.geometry.triangle_kernels import area_normal, faces_up
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int
 
@@ -110,29 +111,20 @@ def _write_piece(solids, facets, shape_number, face_axis, min_normal_z, corners)
         belongs to the piece, 0 for triangles and boxes [m].
     """
     if face_axis < 0:
-        vertices = facets.vertices
-        a = facets.faces[shape_number, 0]
-        b = facets.faces[shape_number, 1]
-        c = facets.faces[shape_number, 2]
-        ux = vertices[b, 0] - vertices[a, 0]
-        uy = vertices[b, 1] - vertices[a, 1]
-        vx = vertices[c, 0] - vertices[a, 0]
-        vy = vertices[c, 1] - vertices[a, 1]
-        normal_z = ux * vy - uy * vx
-        if not normal_z > 0.0:  # as of most triangles
+        if not faces_up(facets, shape_number):  # as most triangles
             return 0, 0.0
-        uz = vertices[b, 2] - vertices[a, 2]
-        vz = vertices[c, 2] - vertices[a, 2]
-        normal_x = uy * vz - uz * vy
-        normal_y = uz * vx - ux * vz
+        a = facets.vertices[facets.faces[shape_number, 0]]
+        b = facets.vertices[facets.faces[shape_number, 1]]
+        c = facets.vertices[facets.faces[shape_number, 2]]
+        normal_x, normal_y, normal_z = area_normal(a, b, c)
         if normal_z * normal_z < min_normal_z * min_normal_z * (
             normal_x * normal_x + normal_y * normal_y + normal_z * normal_z
         ):
             return 0, 0.0
         for k in range(3):
-            corners[0, k] = vertices[a, k]
-            corners[1, k] = vertices[b, k]
-            corners[2, k] = vertices[c, k]
+            corners[0, k] = a[k]
+            corners[1, k] = b[k]
+            corners[2, k] = c[k]
         return 3, 0.0
     pos = solids.pos[shape_number]
     mat = solids.mat[shape_number]

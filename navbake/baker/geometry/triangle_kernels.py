@@ -30,8 +30,8 @@ class TriangleCopy(NamedTuple):
 
 
 @subkernel(inline="always")
-def _cross(a, b, c):
-    """Return the normal of a triangle, as long as twice its area."""
+def area_normal(a, b, c):
+    """Return x, y and z of the normal of a triangle, as long as twice its area."""
     ux = b[0] - a[0]
     uy = b[1] - a[1]
     uz = b[2] - a[2]
@@ -56,7 +56,7 @@ def unit_normal(a, b, c):
     Args:
         a, b, c: the triangle's corners, (3,) float64 each [m].
     """
-    x, y, z = _cross(a, b, c)
+    x, y, z = area_normal(a, b, c)
     length = _length(x, y, z)
     if not length > 0.0:
         return 0.0, 0.0, 0.0
@@ -138,7 +138,7 @@ def measure_areas(vertices, faces, area, first_triangle, end_triangle):
         end_triangle: index past the last one.
     """
     for face in range(first_triangle, end_triangle):
-        x, y, z = _cross(
+        x, y, z = area_normal(
             vertices[faces[face, 0]], vertices[faces[face, 1]], vertices[faces[face, 2]]
         )
         area[face] = _length(x, y, z) / 2.0
@@ -162,7 +162,7 @@ def describe_triangles(vertices, faces):
         a = vertices[faces[face, 0]]
         b = vertices[faces[face, 1]]
         c = vertices[faces[face, 2]]
-        cross_product = _cross(a, b, c)
+        cross_product = area_normal(a, b, c)
         length = _length(cross_product[0], cross_product[1], cross_product[2])
         area[face] = length / 2
         for k in range(3):
@@ -210,7 +210,7 @@ def measure_part_volumes(
         a = vertices[faces[face, first_corner]]
         b = vertices[faces[face, 1]]
         c = vertices[faces[face, 2 - first_corner]]
-        x, y, z = _cross(a, b, c)
+        x, y, z = area_normal(a, b, c)
         # from a corner of the mesh, so that rounding doesn't grow with the distance to the origin
         ox = a[0] - origin[0]
         oy = a[1] - origin[1]
@@ -245,7 +245,7 @@ def bound_parts(
         a = vertices[faces[face, first_corner]]
         b = vertices[faces[face, 1]]
         c = vertices[faces[face, 2 - first_corner]]
-        x, y, z = _cross(a, b, c)
+        x, y, z = area_normal(a, b, c)
         double_area = _length(x, y, z)
         if double_area >= largest_area[face_part]:
             largest_area[face_part] = double_area
@@ -316,7 +316,7 @@ def find_facing_directions(
     """
     angle_step = QUARTER_TURN / num_directions
     for triangle in range(first_triangle, end_triangle):
-        x, y, _ = _cross(
+        x, y, _ = area_normal(
             vertices[faces[triangle, 0]], vertices[faces[triangle, 1]], vertices[faces[triangle, 2]]
         )
         direction_of_triangle[triangle] = 0
