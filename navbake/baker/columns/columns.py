@@ -459,7 +459,7 @@ def _cast_groups(
     hits = empty_hits(start, int(hit_ends[-1]))
     if len(hits.z):
         cast_all(hits)
-    if not num_dropped.any():
+    if not num_dropped[start_slice].any():
         return hits
     lines_per_group = LINES_PER_CALL if len(lines.points) else TILE * tiled_shapes.lattice.width
     num_hits = 0
@@ -613,17 +613,20 @@ def _list_boxes(
     if thread_count > 1 and num_boxes > MIN_BOXES_PER_TILE_FOR_THREADS * num_tiles:
         # no more counts than boxes, however many threads there are
         num_chunks = min(BOX_CHUNKS_PER_THREAD * thread_count, num_boxes // num_tiles)
+    box_slice_of_chunk = [
+        slice(num_boxes * chunk // num_chunks, num_boxes * (chunk + 1) // num_chunks)
+        for chunk in range(num_chunks)
+    ]
     next_list_index = np.zeros((num_chunks, num_tiles), dtype=np.int64)
     tile_range_of_box = np.empty((num_boxes, 4), dtype=np.int32)
 
     def count_boxes(first_chunk: int, end_chunk: int) -> None:
         for chunk in range(first_chunk, end_chunk):
-            first_box = num_boxes * chunk // num_chunks
-            end_box = num_boxes * (chunk + 1) // num_chunks
+            box_slice = box_slice_of_chunk[chunk]
             if isinstance(boxes, Facets):
-                batches = boxes_in_batches(boxes, first_box, end_box)
+                batches = boxes_in_batches(boxes, box_slice.start, box_slice.stop)
             else:
-                batches = iter([(slice(first_box, end_box), boxes[first_box:end_box])])
+                batches = iter([(box_slice, boxes[box_slice])])
             for batch, boxes_of_batch in batches:
                 list_boxes_by_tile(
                     boxes_of_batch,
@@ -645,16 +648,15 @@ def _list_boxes(
 
     def list_boxes(first_chunk: int, end_chunk: int) -> None:
         for chunk in range(first_chunk, end_chunk):
-            first_box = num_boxes * chunk // num_chunks
-            end_box = num_boxes * (chunk + 1) // num_chunks
+            box_slice = box_slice_of_chunk[chunk]
             list_boxes_by_tile(
                 np.empty((0, 6)),
                 margin,
                 lattice,
                 by_tile_row,
-                tile_range_of_box[first_box:end_box],
+                tile_range_of_box[box_slice],
                 next_list_index[chunk],
-                first_box,
+                box_slice.start,
                 box_indices_by_tile,
             )
 

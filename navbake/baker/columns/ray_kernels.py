@@ -388,7 +388,7 @@ def _cast_plane(
 def _finish_lines(
     hits, first_hit, end_hit, facets, scratch_hits, column_hits, next_place, num_dropped
 ):
-    """Sort the hits of lines, drop superfluous ones, and let no gaps between the others.
+    """Sort the hits of lines, drop superfluous ones, and leave no gaps between the others.
 
     Args:
         hits: the hits of all these lines, as `LineHits`; a view of a part of `column_hits`.

@@ -784,10 +784,12 @@ def _choose_triangles(triangles: Facets, heights: Float) -> list[NDArray[Any]]:
         triangle_ids_by_first[first_triangle] for first_triangle in sorted(triangle_ids_by_first)
     ]
     triangle_ids = np.concatenate([np.empty(0, np.int64), *triangle_ids_by_batch])
-    geom_part_closed = [
-        array[triangle_ids] for array in (triangles.geom, triangles.part, triangles.closed)
+    return [
+        triangles.geom[triangle_ids],
+        triangles.part[triangle_ids],
+        triangles.closed[triangle_ids],
+        triangles.vertices[triangles.faces[triangle_ids]],
     ]
-    return [*geom_part_closed, triangles.vertices[triangles.faces[triangle_ids]]]
 
 
 # ---------------------------------------------------------------- sills
