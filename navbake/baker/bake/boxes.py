@@ -153,7 +153,8 @@ def _find_tops(
     first_index_of_level = np.minimum.accumulate(index_of_level[::-1])[::-1].tolist()
     first_index_of_level.append(len(ascending_levels))
     for k, (floor, window, bottom) in enumerate(zip(free_floors, windows, bottoms, strict=True)):
-        highest_floor = float(floor[~np.isnan(floor)].max(initial=-np.inf))
+        free_heights = floor[~np.isnan(floor)]
+        highest_floor = float(free_heights.max(initial=-np.inf))
         levels_above = []
         # the box ends below this height: levels whose floors are all higher do not matter
         height_limit = np.inf
@@ -168,7 +169,7 @@ def _find_tops(
                 height_limit = max(float(lowest_floors[j]), highest_floor, bottom) + 2 * BOX_MARGIN
         floors_above = [free_floors[j][window] for j in levels_above]
         heights_above = np.concatenate([np.empty(0), *(z[z >= bottom] for z in floors_above)])
-        highest_contained_floor = _last_floor(floor[~np.isnan(floor)], heights_above)
+        highest_contained_floor = _last_floor(free_heights, heights_above)
         # The box ends below the boxes, and the floors of levels that interleave, that it must not
         # contain. Cells beside each other count as well: see the source at the top of this file.
         top_limits = [

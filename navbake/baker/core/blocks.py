@@ -6,9 +6,9 @@ numbers for each block; things that extend over blocks, such as regions, are mer
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from navbake.baker.core.tiles import BLOCK
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import LEAST_CELLS, run_in_chunks
-from navbake.types import Int
+from navbake.types import Bool, Int
+
+ScalarT = TypeVar("ScalarT", bound=np.generic)
 
 # How many rows of numbers the first call of a kernel in `list_rows` has room for
 FIRST_CAPACITY = 4096
@@ -55,17 +57,75 @@ class Blocks:
         """
         width = self.lattice.width
         cells = np.arange(first_row * width, end_row * width).reshape(-1, width)
-        cells_of_block_rows = [
-            cells[max(row - first_row, 0) : row + BLOCK - first_row]
-            for row in range(first_row // BLOCK * BLOCK, end_row, BLOCK)
-        ]
-        return np.concatenate(
-            [
-                block_row_cells[:, col : col + BLOCK].ravel()
-                for block_row_cells in cells_of_block_rows
-                for col in range(0, width, BLOCK)
-            ]
+        pieces = []
+        for whole_blocks, cut_blocks in self._split_by_block(cells, first_row):
+            pieces.append(whole_blocks.swapaxes(0, 1).ravel())
+            pieces.append(cut_blocks.ravel())
+        return np.concatenate(pieces)
+
+    def list_cells_of(self, is_selected: Bool) -> Int:
+        """List the ids of all cells of some blocks, ascending.
+
+        Args:
+            is_selected: a mask of the blocks, shape (num_blocks,).
+
+        Returns:
+            Ids of cells, shape (n,).
+        """
+        lattice = self.lattice
+        is_in_block_row = np.repeat(
+            is_selected.reshape(self.num_rows, self.num_cols), BLOCK, axis=1
+        )[:, : lattice.width]
+        pieces = [np.empty(0, dtype=np.int64)]
+        for block_row in np.flatnonzero(is_in_block_row.any(axis=1)).tolist():
+            cols = np.flatnonzero(is_in_block_row[block_row])
+            rows = np.arange(block_row * BLOCK, min((block_row + 1) * BLOCK, lattice.height))
+            pieces.append(np.add.outer(rows * lattice.width, cols).ravel())
+        return np.concatenate(pieces)
+
+    def order_by_cell(self, values: NDArray[ScalarT], first_row: int) -> NDArray[ScalarT]:
+        """Bring values of cells into the order of the cells' ids.
+
+        Args:
+            values: a value for each cell that `list_cells` lists, in its order, shape (n,).
+            first_row: the first row of these cells, which make up entire rows.
+
+        Returns:
+            The values in the order of cell ids, shape (n,).
+        """
+        values_by_row = np.empty(
+            (len(values) // self.lattice.width, self.lattice.width), values.dtype
         )
+        num_ordered = 0
+        for whole_blocks, cut_blocks in self._split_by_block(values_by_row, first_row):
+            for cells_of_blocks in (whole_blocks.swapaxes(0, 1), cut_blocks):
+                next_values = values[num_ordered : num_ordered + cells_of_blocks.size]
+                cells_of_blocks[...] = next_values.reshape(cells_of_blocks.shape)
+                num_ordered += cells_of_blocks.size
+        return values_by_row.ravel()
+
+    def _split_by_block(
+        self, cells: NDArray[ScalarT], first_row: int
+    ) -> Iterator[tuple[NDArray[ScalarT], NDArray[ScalarT]]]:
+        """Split an array with an entry for each cell of some rows, as views.
+
+        Args:
+            cells: the array, shape (rows, width).
+            first_row: the first of the rows.
+
+        Yields:
+            For each row of blocks, the blocks that have all their columns, shape (rows of cells,
+            blocks, BLOCK); and the block that the lattice cuts off, shape (rows of cells, columns),
+            which may have no columns.
+        """
+        end_of_whole_blocks = self.lattice.width // BLOCK * BLOCK
+        for row in range(-(first_row % BLOCK), len(cells), BLOCK):
+            block_row = cells[max(row, 0) : row + BLOCK]
+            whole_blocks = block_row[:, :end_of_whole_blocks]
+            yield (
+                whole_blocks.reshape(len(block_row), end_of_whole_blocks // BLOCK, BLOCK),
+                block_row[:, end_of_whole_blocks:],
+            )
 
     def list_rows(
         self,

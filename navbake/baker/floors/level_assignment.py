@@ -479,11 +479,9 @@ def _find_next_ground(
         # before shrinking, to skip bands with too few surfaces
         selection = HeightSelection(ground, ALL_BANDS, half_step, top)
         histogram = _count_heights(surfaces, candidates, selection, NO_SHRINKING)
-        num_surfaces_by_band = Counter[int]()
-        for band, num_surfaces in zip(
-            histogram.band.tolist(), histogram.num_surfaces.tolist(), strict=True
-        ):
-            num_surfaces_by_band[band] += num_surfaces
+        bands, band_index = np.unique(histogram.band, return_inverse=True)
+        num_in_band = np.bincount(band_index, histogram.num_surfaces).astype(np.int64)
+        num_surfaces_by_band = Counter(dict(zip(bands.tolist(), num_in_band.tolist(), strict=True)))
         # two bands of half a step each, the lower one first
         lowest_band = min(num_surfaces_by_band, default=0)
         lower_bands = {

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.columns.columns import ColumnSource
+from navbake.baker.core.components import count_cells_by_label, label_components_2d
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.core.windows import Window, crop_cells
 from navbake.baker.floors.growth import GrownFloor, find_listed_steps, grow_floors
@@ -337,11 +338,8 @@ def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) 
     Returns:
         The level with a floor in the closed holes; its mask `unseen` is True there.
     """
-    from scipy.interpolate import griddata  # scipy loads slowly, and few bakes need this
-    from scipy.ndimage import binary_dilation, label  # likewise
-
-    hole_of_cell, _ = label(np.isnan(level.floor))  # connected by cells' edges
-    num_cells_in_hole = np.bincount(hole_of_cell.ravel()).astype(np.float64)  # [cells]
+    hole_of_cell, num_holes = label_components_2d(np.isnan(level.floor))
+    num_cells_in_hole = count_cells_by_label(hole_of_cell, num_holes + 1).astype(np.float64)
     # holes at the lattice's border are not surrounded by floor
     for border_holes in (
         hole_of_cell[0],
@@ -351,10 +349,14 @@ def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) 
     ):
         num_cells_in_hole[border_holes] = np.inf
     num_cells_in_hole[0] = np.inf  # cells with a floor
-    is_filled: Bool = (num_cells_in_hole <= max_cells + LIMIT_SLACK)[hole_of_cell]
-    if not is_filled.any():
-        return replace(level, unseen=is_filled)
+    is_hole_filled = num_cells_in_hole <= max_cells + LIMIT_SLACK
+    if not is_hole_filled.any():
+        return replace(level, unseen=np.zeros(level.floor.shape, dtype=np.bool_))
+    from scipy.interpolate import griddata  # scipy loads slowly, and few bakes need this
+    from scipy.ndimage import binary_dilation  # likewise
+
     # holes to close, with their rims
+    is_filled: Bool = is_hole_filled[hole_of_cell]
     is_near_hole = binary_dilation(is_filled, np.ones((3, 3)))
     is_rim = is_near_hole & ~is_filled & ~np.isnan(level.floor)
     floor = level.floor.copy()
@@ -363,7 +365,7 @@ def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) 
     is_free = is_near_hole.copy()
     is_free[is_near_hole] = ~is_occupied(np.flatnonzero(is_near_hole), floor[is_near_hole], None)
     # free cells connected to floor at the rim, and things that stand in a hole with such cells
-    part_of_cell, _ = label(is_free)
+    part_of_cell, _ = label_components_2d(is_free)
     is_connected = is_free & np.isin(part_of_cell, part_of_cell[is_free & is_rim])
     is_in_reached_hole = np.isin(hole_of_cell, hole_of_cell[is_connected & is_filled])
     is_filled &= is_connected | (is_in_reached_hole & ~is_free)

@@ -324,35 +324,20 @@ def _describe_on_levels(
     """
     if not len(pair_ids):
         return {}
-    # the surfaces of all these regions, and the pair of each of them
-    surfaces = regions.surfaces
-    cell, surface_ids = expand_ranges(surfaces.first, surfaces.end)
-    region = regions.region_of(surface_ids)
-    is_selected = np.zeros(regions.num_regions + 1, dtype=np.bool_)  # the last is for no region
-    is_selected[pair_ids % regions.num_regions] = True
-    is_listed = is_selected[region] & (assignment.preliminary_level[surface_ids] >= 0)
-    surface_ids = surface_ids[is_listed]
-    final_level = assignment.final_level[assignment.preliminary_level[surface_ids]]
-    pair_of_surface = final_level * regions.num_regions + region[is_listed]
-    sort_indices = np.argsort(pair_of_surface, kind="stable")
-    pair_of_surface = pair_of_surface[sort_indices]
-    surface_ids = surface_ids[sort_indices]
-    sorted_surfaces = RegionSurfaces(
-        cell=cell[is_listed][sort_indices],
-        z=surfaces.z[surface_ids],
-        geom=surfaces.geom[surface_ids],
-        surface_id=surface_ids,
+    region_ids = np.unique(pair_ids % regions.num_regions)
+    surfaces_of_region = dict(
+        zip(region_ids.tolist(), regions.list_surfaces(region_ids), strict=True)
     )
-    first_index_of_pair = np.searchsorted(pair_of_surface, pair_ids, side="left").tolist()
-    end_index_of_pair = np.searchsorted(pair_of_surface, pair_ids, side="right").tolist()
     # number of a level -> for each region of a pair, its surfaces on the level
     surfaces_on_level: dict[int, list[RegionSurfaces]] = {}
-    for pair_id, first_index, end_index in zip(
-        pair_ids.tolist(), first_index_of_pair, end_index_of_pair, strict=True
-    ):
-        surfaces_on_level.setdefault(pair_id // regions.num_regions, []).append(
-            sorted_surfaces.select(slice(first_index, end_index))
+    for pair_id in pair_ids.tolist():
+        level_number, region = divmod(pair_id, regions.num_regions)
+        region_surfaces = surfaces_of_region[region]
+        is_on_level = np.isin(
+            assignment.preliminary_level[region_surfaces.surface_id],
+            np.flatnonzero(assignment.final_level == level_number),
         )
+        surfaces_on_level.setdefault(level_number, []).append(region_surfaces.select(is_on_level))
     lattice = regions.lattice
     patches = {}
     for level_number, level_surfaces_by_region in surfaces_on_level.items():

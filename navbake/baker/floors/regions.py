@@ -341,18 +341,16 @@ class Regions:
         if not len(region_ids):
             return []
         surfaces = self.surfaces
-        # only the cells in the box around all the regions have to be searched
-        row0, col0 = self.box[region_ids, :2].min(axis=0).tolist()
-        row1, col1 = self.box[region_ids, 2:].max(axis=0).tolist()
-        cells_in_box = np.add.outer(
-            np.arange(row0, row1) * self.lattice.width, np.arange(col0, col1)
-        )
-        cells = cells_in_box.ravel()
-        cell_index, surface_ids = expand_ranges(surfaces.first[cells], surfaces.end[cells])
         is_selected = np.zeros(
             self.num_regions + 1, dtype=np.bool_
         )  # the last entry is for no region
         is_selected[region_ids] = True
+        # only the cells of the blocks in which the regions have components have to be searched
+        holds_region = np.zeros(self.blocks.num_blocks, dtype=np.bool_)
+        is_component_selected = is_selected[self.region_of_component]
+        holds_region[self.components.block_of_component[is_component_selected]] = True
+        cells = self.blocks.list_cells_of(holds_region)
+        cell_index, surface_ids = expand_ranges(surfaces.first[cells], surfaces.end[cells])
         region = self.region_of(surface_ids)
         indices_in_regions = np.flatnonzero(is_selected[region])
         # sorted once, so that the columns are not searched again for each region

@@ -78,8 +78,8 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
         np.empty((0, num_axes), dtype=np.float32),
     )
     blocks = Blocks(lattice)
-    first_surface = np.zeros(lattice.width * lattice.height, dtype=np.int32)
-    end_surface = np.zeros(lattice.width * lattice.height, dtype=np.int32)
+    first_surface = np.empty(lattice.width * lattice.height, dtype=np.int32)
+    end_surface = np.empty(lattice.width * lattice.height, dtype=np.int32)
     num_surfaces = 0
     arrays_by_chunk: list[list[NDArray[Any]]] = []
     for chunk in columns.row_chunks():
@@ -95,10 +95,13 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
             least=LEAST_CELLS,
         )
         # surfaces of this chunk come after those of earlier chunks
-        end_of_cells = num_surfaces + np.cumsum(num_surfaces_in_cell)
-        end_surface[cells] = end_of_cells
-        first_surface[cells] = end_of_cells - num_surfaces_in_cell
-        num_surfaces += int(num_surfaces_in_cell.sum())
+        end_of_cells = np.cumsum(num_surfaces_in_cell, dtype=np.int32)
+        end_of_cells += num_surfaces
+        first_of_cells = end_of_cells - num_surfaces_in_cell.astype(np.int32)
+        cell_range = slice(*chunk.valid_rows.cell_range(lattice))
+        end_surface[cell_range] = blocks.order_by_cell(end_of_cells, chunk.valid_rows.first)
+        first_surface[cell_range] = blocks.order_by_cell(first_of_cells, chunk.valid_rows.first)
+        num_surfaces += len(row_arrays[0])
         arrays_by_chunk.append(row_arrays)
     z, geom, flags, normal = join_arrays(arrays_by_chunk)
     return Surfaces(lattice, first_surface, end_surface, z, geom, flags, normal)

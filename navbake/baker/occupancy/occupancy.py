@@ -130,9 +130,7 @@ def check_occupancy(
         The occupancy of each cell, shape (n,), and the lists of occupants.
     """
     # the kernel goes tile by tile, and bisects the floors of a cell
-    is_descending = cells[1:] < cells[:-1]
-    is_descending |= (cells[1:] == cells[:-1]) & (floors[1:] < floors[:-1])
-    if is_descending.any():
+    if not _are_ascending(cells, floors):
         sort_indices = np.lexsort((floors, cells))
         place_in_order = np.empty_like(sort_indices)
         place_in_order[sort_indices] = np.arange(len(sort_indices))
@@ -206,6 +204,20 @@ def check_occupancy(
                 entry += 1
         flags &= ~np.uint8(MAYBE_BLOCKING)
     return CellOccupancy(occupied, square_occupied, geom, flags)
+
+
+def _are_ascending(cells: Int, floors: Float) -> bool:
+    """Return whether cells ascend, and floors in a cell that is repeated.
+
+    Args:
+        cells: cell ids, shape (n,).
+        floors: the height of a floor in each cell, shape (n,) [m].
+    """
+    # few cells are repeated
+    not_above_last = np.flatnonzero(cells[1:] <= cells[:-1])
+    is_repeated = cells[not_above_last + 1] == cells[not_above_last]
+    is_floor_below_last = floors[not_above_last + 1] < floors[not_above_last]
+    return bool(np.all(is_repeated & ~is_floor_below_last))
 
 
 def _join_lists(
@@ -332,17 +344,25 @@ def check_level_occupancy(
         occupants. All levels' lists are in the same arrays.
     """
     # the floors of all levels, one level after the other
-    floor_by_level = [level.floor.ravel()[cells] for level in floors.levels]
-    cells_by_level = [cells[~np.isnan(floor)] for floor in floor_by_level]
+    cells_by_level = []
+    heights_by_level = []
+    for level in floors.levels:
+        level_heights = level.floor.ravel()[cells]
+        has_floor = ~np.isnan(level_heights)
+        cells_by_level.append(cells[has_floor])
+        heights_by_level.append(level_heights[has_floor])
     num_floors = [len(level_cells) for level_cells in cells_by_level]
     floor_cells = np.concatenate(cells_by_level)
-    floor_heights = np.concatenate([floor[~np.isnan(floor)] for floor in floor_by_level])
+    floor_heights = np.concatenate(heights_by_level)
     ceiling = np.repeat(find_level_ceilings(floors), num_floors)
     # in ascending order of cells, and of heights in a cell, for the check
     order: Int | slice = slice(None)
     place_in_order: Int | slice = slice(None)
     if len(floors.levels) > 1:
-        order = np.lexsort((floor_heights, floor_cells))
+        # a stable sort merges the levels, whose cells ascend, and their floors mostly do
+        order = np.argsort(floor_cells, kind="stable")
+        if not _are_ascending(floor_cells[order], floor_heights[order]):
+            order = np.lexsort((floor_heights, floor_cells))
         place_in_order = np.empty_like(order)
         place_in_order[order] = np.arange(len(order))
     floor_cells = floor_cells[order]

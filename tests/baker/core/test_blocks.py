@@ -1,4 +1,4 @@
-"""Blocks of rows: however large they are, a bake gives the same bytes."""
+"""Blocks of cells, and of rows: however large these are, a bake gives the same bytes."""
 
 import numpy as np
 import pytest
@@ -10,10 +10,13 @@ from navbake.baker.columns import column_sources
 from navbake.baker.columns import columns as columns_module
 from navbake.baker.columns.column_sources import ChunkedShapes, ColumnCaster, join_columns
 from navbake.baker.columns.columns import Columns, ShapeSource, split_into_row_chunks
+from navbake.baker.core.blocks import Blocks
 from navbake.baker.core.clock import StageClock
+from navbake.baker.core.tiles import BLOCK
 from navbake.baker.geometry import shapes as shapes_module
 from navbake.config.settings import load_config, parse_config
 from navbake.formats.navgrid import dumps_navgrid
+from navbake.navgrid.lattice import Lattice
 from project_paths import CONFIGS
 
 SAMPLES = sorted(path.stem for path in CONFIGS.glob("*.yaml"))
@@ -218,3 +221,28 @@ def test_height_field_in_pieces_and_chunks(tmp_path, monkeypatch, cell_size):
     assert bake_bytes(config) == expected
     in_blocks(monkeypatch, 1000)
     assert bake_bytes(config) == expected
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (70, 31), (64, 64), (75, 101)])
+def test_cells_are_listed_block_by_block_and_brought_back(shape):
+    height, width = shape
+    blocks = Blocks(Lattice(0.0, 0.0, 0.1, width, height))
+    for first_row, end_row in {(0, height), (height // 2 // 8 * 8, height)}:
+        cells = np.arange(first_row * width, end_row * width)
+        row, col = np.divmod(cells, width)
+        expected_cells = cells[np.lexsort((cells, col // BLOCK, row // BLOCK))]
+        listed_cells = blocks.list_cells(first_row, end_row)
+        np.testing.assert_array_equal(listed_cells, expected_cells)
+        np.testing.assert_array_equal(blocks.order_by_cell(listed_cells, first_row), cells)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_cells_of_some_blocks(share):
+    lattice = Lattice(0.0, 0.0, 0.1, 101, 75)
+    blocks = Blocks(lattice)
+    is_selected = np.random.default_rng(0).random(blocks.num_blocks) < share
+    row, col = np.divmod(np.arange(lattice.width * lattice.height), lattice.width)
+    block = row // BLOCK * blocks.num_cols + col // BLOCK
+    np.testing.assert_array_equal(
+        blocks.list_cells_of(is_selected), np.flatnonzero(is_selected[block])
+    )
