@@ -463,12 +463,19 @@ def _cast_groups(
         return hits
     lines_per_group = LINES_PER_CALL if len(lines.points) else TILE * tiled_shapes.lattice.width
     num_hits = 0
+    moves = list[tuple[slice, slice]]()  # of the hits of each chunk: where to, and from where
     for first_group in sorted(end_of_chunk):  # each chunk moves to the end of the one before it
         chunk = slice(int(start[first_group * lines_per_group]), end_of_chunk[first_group])
         place = slice(num_hits, num_hits + chunk.stop - chunk.start)
-        for array in hits.entries:
-            array[place] = array[chunk]
+        moves.append((place, chunk))
         num_hits = place.stop
+
+    def close_gaps(first_array: int, end_array: int) -> None:
+        for array in hits.entries[first_array:end_array]:
+            for place, chunk in moves:
+                array[place] = array[chunk]
+
+    run_in_chunks(close_gaps, len(hits.entries))
     hit_ends -= np.cumsum(num_dropped[start_slice])
     return ColumnHits(start, *(array[:num_hits] for array in hits.entries))
 

@@ -40,8 +40,12 @@ MAX_BUMP_FRACTION = 1.0 / 3.0
 MIN_VARIANCE_FRACTION = 0.02
 # A facet differs from the plane clearly if the cosine of their angle is at most this
 MAX_DIFFERENT_COSINE = np.cos(np.radians(10.0))
-# Lines that are cast together, which limits the memory that it takes
-LINES_PER_CHUNK = 1 << 18
+# Facets around which all threads sample the ground at a time, which limits the memory that it takes
+FACETS_AT_A_TIME = 1 << 17
+# Fewer facets than this are not worth a call on another thread
+MIN_FACETS_PER_CALL = 1024
+# Fewer hits than this are not worth a call on another thread
+MIN_HITS_PER_CALL = 1 << 16
 # Lines over fewer tiles than this are not worth a call on another thread
 MIN_TILES_PER_CALL = 8
 
@@ -92,10 +96,10 @@ def replace_rough_ground_normals(
         return columns
     normal = columns.normal.copy()
     radius = foot_radius(columns.lattice)
-    num_samples = NUM_DIRECTIONS * len(SAMPLED_RADIUS_FRACTIONS)
-    for first_hit in range(0, len(hit_indices), LINES_PER_CHUNK // num_samples):
-        chunk_cells = cell_ids[first_hit : first_hit + LINES_PER_CHUNK // num_samples]
-        chunk_hits = hit_indices[first_hit : first_hit + LINES_PER_CHUNK // num_samples]
+
+    def replace_normals(first_facet: int, end_facet: int) -> None:
+        chunk_cells = cell_ids[first_facet:end_facet]
+        chunk_hits = hit_indices[first_facet:end_facet]
         axis_heights = _sample_ground(
             columns, tiled_shapes, limits, chunk_cells, chunk_hits, circle_offsets(4, radius)
         )
@@ -103,11 +107,19 @@ def replace_rough_ground_normals(
         chunk_cells = chunk_cells[~is_steep]
         chunk_hits = chunk_hits[~is_steep]
         if not len(chunk_hits):
-            continue
+            return
         plane_normal, is_ground = _mark_flat_ground(
             columns, tiled_shapes, limits, chunk_cells, chunk_hits, axis_heights[~is_steep]
         )
         normal[chunk_hits[is_ground]] = plane_normal[is_ground]
+
+    for first_facet in range(0, len(hit_indices), FACETS_AT_A_TIME):
+        run_in_chunks(
+            replace_normals,
+            min(FACETS_AT_A_TIME, len(hit_indices) - first_facet),
+            begin=first_facet,
+            min_chunk_size=MIN_FACETS_PER_CALL,
+        )
     return replace(columns, hits=columns.hits._replace(normal=normal))
 
 
@@ -124,9 +136,19 @@ def _find_steep_facets(
     Returns:
         The cells of the hits, (n,), and the indices of the hits, (n,).
     """
-    hit_indices = np.flatnonzero(columns.hits.closed != CONVEX_SOLID)
-    normal_z = columns.normal[hit_indices, 2]
-    hit_indices = hit_indices[(normal_z > 0.0) & (normal_z < limits.min_normal_z)]
+    steep_hits_of_chunk = {0: np.empty(0, dtype=np.int64)}  # by the first hit of the chunk
+
+    def find_steep_hits(first_hit: int, end_hit: int) -> None:
+        chunk = slice(first_hit, end_hit)
+        steep_hits = first_hit + np.flatnonzero(columns.hits.closed[chunk] != CONVEX_SOLID)
+        normal_z = columns.normal[steep_hits, 2]
+        is_steep = (normal_z > 0.0) & (normal_z < limits.min_normal_z)
+        steep_hits_of_chunk[first_hit] = steep_hits[is_steep]
+
+    run_in_chunks(find_steep_hits, len(columns.z), min_chunk_size=MIN_HITS_PER_CALL)
+    hit_indices = np.concatenate(
+        [steep_hits_of_chunk[first_hit] for first_hit in sorted(steep_hits_of_chunk)]
+    )
     if not len(hit_indices):
         return hit_indices, hit_indices
     # all other columns may be invalid; the hits of these are in the order of their cells

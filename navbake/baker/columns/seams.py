@@ -275,10 +275,16 @@ def replace_column_hits(
     start = np.zeros(len(old_hits.start), dtype=np.int64)  # whose pages cost nothing until written
     start_slice = slice(first_cell, end_cell + 1)
     np.add(old_hits.start[start_slice], num_added_before, out=start[start_slice])
-    hit_arrays = [
-        replace_slices(old_array, first_old_hit, end_old_hit, new_array, new_hits.start)
-        for old_array, new_array in zip(old_hits.entries, new_hits.entries, strict=True)
-    ]
+    hit_arrays = list(old_hits.entries)
+
+    def replace_in_arrays(first_array: int, end_array: int) -> None:
+        for i in range(first_array, end_array):
+            hit_arrays[i] = replace_slices(
+                hit_arrays[i], first_old_hit, end_old_hit, new_hits.entries[i], new_hits.start
+            )
+
+    # numpy copies long slices of several arrays at the same time
+    run_in_chunks(replace_in_arrays, len(hit_arrays))
     return replace(columns, hits=ColumnHits(start, *hit_arrays))
 
 
