@@ -104,6 +104,22 @@ def bounding_window(is_marked: Bool) -> Window:
     )
 
 
+def grow_window(window: Window, row_margin: int, col_margin: int, shape: tuple[int, ...]) -> Window:
+    """Return a window with a margin around it, cropped to the lattice.
+
+    Args:
+        window: rows and columns of the lattice.
+        row_margin: how many rows to add above and below, >= 0.
+        col_margin: how many columns to add on the left and on the right, >= 0.
+        shape: the shape of the lattice, (height, width).
+    """
+    row_slice, col_slice = window
+    return (
+        slice(max(row_slice.start - row_margin, 0), min(row_slice.stop + row_margin, shape[0])),
+        slice(max(col_slice.start - col_margin, 0), min(col_slice.stop + col_margin, shape[1])),
+    )
+
+
 def crop_cells(cells: Int, window: Window, width: int) -> tuple[Int, Bool]:
     """Find the cells that lie in a window, and their ids on the window's own lattice.
 

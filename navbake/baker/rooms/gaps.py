@@ -20,16 +20,20 @@ The limits of all steps are in `gap_limits.py`.
 from __future__ import annotations
 
 import heapq
-from typing import NamedTuple
+import math
+from typing import NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from navbake.baker.core.components import (
     count_cells_by_label,
+    expand_ranges,
     find_row_runs,
     label_components,
     label_components_2d,
 )
+from navbake.baker.core.windows import Window, grow_window
 from navbake.baker.rooms import gap_kernels as kernels
 from navbake.baker.rooms.gap_kernels import DOORWAY, GapLimits, Gaps, GapWalls, Marks, Scan
 from navbake.baker.rooms.gap_limits import (
@@ -62,6 +66,8 @@ from navbake.baker.rooms.walls import (
 )
 from navbake.threads import run_beside
 from navbake.types import Bool, Int, Int32
+
+ScalarT = TypeVar("ScalarT", bound=np.generic)
 
 
 class CloseCall(NamedTuple):
@@ -144,6 +150,10 @@ def find_gaps(
     scanned_label = both_scan_orders(label)
     scanned_is_open = both_scan_orders(is_passable & ~is_closed)
     scanned_is_marked = both_scan_orders(is_marked)
+    crossings_by_order = [
+        _list_crossings(scanned_label[order], scanned_is_open[order], scanned_is_marked[order])
+        for order in (False, True)
+    ]
     direction_gaps = []
     for direction, direction_marks in zip(directions, marks, strict=True):
         depths_in_rows = np.array(
@@ -161,7 +171,7 @@ def find_gaps(
                 np.int64
             ),
         )
-        gaps = _list_gaps(scan, scanned_is_marked[direction.is_swapped], direction_marks)
+        gaps = _list_gaps(scan, crossings_by_order[direction.is_swapped], direction_marks)
         direction_gaps.append(DirectionGaps(direction, scan, gaps))
     return SeparatedSpaces(direction_gaps, label, num_cells)
 
@@ -217,24 +227,121 @@ def _mark_gap_lines(
                 max_thickness=int(MAX_WALL_THICKNESS * direction.length_per_column / cell_size) + 2,
                 marks_only_doorways=marks_only_doorways,
             )
-            is_near_wall = direction.is_near_wall
-            if direction.is_swapped:
-                is_near_wall = is_near_wall.T
             wait_functions.append(
                 run_beside(
-                    kernels.mark_gaps,
+                    _mark_lines_along,
+                    direction,
                     scanned_is_unmarked[direction.is_swapped],
-                    direction.shift,
-                    np.array(is_near_wall, order="F"),  # a copy, which is changed
                     limits,
                     direction_marks,
                 )
             )
         for wait_for_marks in wait_functions:
-            wait_for_marks()
-        for direction, direction_marks in zip(directions, marks, strict=True):
-            is_marked |= from_scan_order(direction_marks, direction) > 0
+            window, is_marked_in_window = wait_for_marks()
+            is_marked[window] |= is_marked_in_window
     return marks, is_marked
+
+
+def _mark_lines_along(
+    direction: WallDirection, is_unmarked: Bool, limits: GapLimits, marks: Marks
+) -> tuple[Window, Bool]:
+    """Mark the cells of gaps that lie along a direction of walls.
+
+    Only lines near these walls count, and only the cells around them are scanned: an oblique wall
+    is often a single one, somewhere in a building.
+
+    Args:
+        direction: the direction.
+        is_unmarked: cells that a gap may go across, and that no gap has so far, in the direction's
+            scan order.
+        limits: the limits by which gaps are marked.
+        marks: the marks of this direction, in its scan order; are changed.
+
+    Returns:
+        The window of the lattice that was scanned, and a mask of its marked cells; not swapped.
+    """
+    # A gap has a cell near a wall, and the other lines of its doorway are at most `max_thickness`
+    # rows away. Beyond their ends, longer lines count up to the length that makes the floor wider
+    max_reach = limits.max_width + math.ceil(
+        max(limits.widening_factor * limits.max_width, limits.max_width + limits.min_widening)
+    )
+    near_rows, near_cols = direction.window
+    is_near_wall = direction.is_near_wall
+    if direction.is_swapped:
+        near_rows, near_cols = near_cols, near_rows
+        is_near_wall = is_near_wall.T
+    rows, cols = grow_window(
+        (near_rows, near_cols),
+        row_margin=math.ceil(max_reach * abs(direction.slope)) + limits.max_thickness + 2,
+        col_margin=max_reach + 1,
+        shape=is_unmarked.shape,
+    )
+    window_marks = np.asfortranarray(marks[rows, cols])
+    is_near_wall_in_window = np.zeros_like(window_marks, dtype=np.bool_)  # the kernel changes it
+    is_near_wall_in_window[
+        near_rows.start - rows.start : near_rows.stop - rows.start,
+        near_cols.start - cols.start : near_cols.stop - cols.start,
+    ] = is_near_wall
+    kernels.mark_gaps(
+        np.asfortranarray(is_unmarked[rows, cols]),
+        direction.shift[cols] - direction.shift[cols.start],
+        is_near_wall_in_window,
+        limits,
+        window_marks,
+    )
+    marks[rows, cols] = window_marks
+    window = (cols, rows) if direction.is_swapped else (rows, cols)
+    return window, from_scan_order(window_marks, direction) > 0
+
+
+class _Crossings(NamedTuple):
+    """Where columns of a scan cross marked cells between two spaces, as n parallel crossings.
+
+    At a crossing, consecutive cells of the column are marked in any direction, none of them is
+    closed, and the spaces above and below these cells differ.
+
+    Attributes:
+        col: the column, shape (n,).
+        top: the row of the first marked cell, shape (n,).
+        bottom: the row of the last marked cell, shape (n,).
+        label_above: the label of the space above, in the row before `top`, shape (n,).
+        label_below: the label of the space below, in the row after `bottom`, shape (n,).
+    """
+
+    col: Int
+    top: Int
+    bottom: Int
+    label_above: Int
+    label_below: Int
+
+    def select(self, is_selected: Bool) -> _Crossings:
+        """Return some of the crossings.
+
+        Args:
+            is_selected: which ones, shape (n,).
+        """
+        return _Crossings(
+            col=self.col[is_selected],
+            top=self.top[is_selected],
+            bottom=self.bottom[is_selected],
+            label_above=self.label_above[is_selected],
+            label_below=self.label_below[is_selected],
+        )
+
+    def read_cells(self, values: NDArray[ScalarT]) -> tuple[NDArray[ScalarT], Int]:
+        """Read the values of the marked cells of all crossings.
+
+        Args:
+            values: a value for each cell of the scan, in Fortran order.
+
+        Returns:
+            The values of all cells, crossing by crossing; and the index of each crossing's first
+            one, shape (n,).
+        """
+        first_cell = self.col * len(values) + self.top
+        num_cells = self.bottom - self.top + 1
+        _, cells = expand_ranges(first_cell, first_cell + num_cells)
+        return values.T.ravel()[cells], np.cumsum(num_cells) - num_cells
 
 
 def label_spaces(is_open: Bool, is_marked: Bool, cell_size: float) -> tuple[Int32, Int]:
@@ -264,41 +371,17 @@ def label_spaces(is_open: Bool, is_marked: Bool, cell_size: float) -> tuple[Int3
     return new_label[label], np.bincount(new_label, num_cells).astype(np.int64)
 
 
-class _Crossings(NamedTuple):
-    """Where columns of a scan cross gaps, as parallel arrays of n crossings, shape (n,).
-
-    At a crossing, consecutive cells of the column are marked, and the spaces above and below these
-    cells differ.
-
-    Attributes:
-        col: the column.
-        top: the row of the first marked cell.
-        bottom: the row of the last marked cell.
-        label_above: the label of the space above, in the row before `top`.
-        label_below: the label of the space below, in the row after `bottom`.
-        mark: the greatest mark of the marked cells, see `Marks`.
-    """
-
-    col: Int
-    top: Int
-    bottom: Int
-    label_above: Int
-    label_below: Int
-    mark: Int
-
-
-def _list_gaps(scan: Scan, is_marked: Bool, marks: Marks) -> Gaps:
+def _list_gaps(scan: Scan, crossings: _Crossings, marks: Marks) -> Gaps:
     """List the gaps of a scan: marked cells in neighbouring columns between the same two spaces.
 
     Spaces are connected parts of the floor; cells of narrow places between them were marked.
 
     Args:
         scan: the lattice as it is scanned in one direction.
-        is_marked: a mask of the cells that are closed, or marked in any direction, in this scan's
-            order.
+        crossings: where columns of the scan cross cells that are marked in any direction.
         marks: the marks of this direction.
     """
-    crossings = _list_crossings(scan, is_marked, marks)
+    crossings, greatest_mark = _select_crossings(crossings, marks)
     previous_crossing = _find_previous_crossings(crossings, scan)
     continuing_crossings = np.flatnonzero(previous_crossing >= 0)
     gap_of_crossing = label_components(
@@ -321,40 +404,47 @@ def _list_gaps(scan: Scan, is_marked: Bool, marks: Marks) -> Gaps:
         ),
         label_above=crossings.label_above[first_crossing],
         label_below=crossings.label_below[first_crossing],
-        is_doorway=np.maximum.reduceat(crossings.mark[sort_indices], first_index_of_gap) == DOORWAY,
+        is_doorway=np.maximum.reduceat(greatest_mark[sort_indices], first_index_of_gap) == DOORWAY,
     )
 
 
-def _list_crossings(scan: Scan, is_marked: Bool, marks: Marks) -> _Crossings:
-    """List where columns of a scan have marked cells between two different spaces.
-
-    At least one of the cells is marked in the scan's direction, and none is closed.
+def _list_crossings(label: Int32, is_open: Bool, is_marked: Bool) -> _Crossings:
+    """List where columns have marked cells, none of them closed, between two different spaces.
 
     Args:
-        scan: the lattice as it is scanned in one direction.
-        is_marked: a mask of the cells that are closed, or marked in any direction, in this scan's
-            order.
-        marks: the marks of this direction.
+        label: the space of each cell, 0 for none, in a scan's order.
+        is_open: a mask of the cells that a line can pass through, in this order.
+        is_marked: a mask of the cells that are closed, or marked in any direction, in this order.
     """
-    label = scan.label
     col, top, end_row, _ = find_row_runs(is_marked.T)
-    bottom = end_row - 1
-    run_starts = np.cumsum(end_row - top) - (end_row - top)
-    greatest_mark = np.maximum.reduceat(marks.T[is_marked.T], run_starts)
-    is_open = np.logical_and.reduceat(scan.is_open.T[is_marked.T], run_starts)
-    label_above = label[np.maximum(top - 1, 0), col]
-    label_below = label[np.minimum(bottom + 1, len(label) - 1), col]
     # At the lattice's edge, the cell above or below is the marked cell itself, without a label.
+    label_above = label[np.maximum(top - 1, 0), col]
+    label_below = label[np.minimum(end_row, len(label) - 1), col]
     is_crossing = (label_above > 0) & (label_below > 0) & (label_above != label_below)
-    is_crossing &= (greatest_mark > 0) & is_open
-    return _Crossings(
-        col=col[is_crossing].astype(np.int64),
-        top=top[is_crossing].astype(np.int64),
-        bottom=bottom[is_crossing].astype(np.int64),
-        label_above=label_above[is_crossing].astype(np.int64),
-        label_below=label_below[is_crossing].astype(np.int64),
-        mark=greatest_mark[is_crossing].astype(np.int64),
-    )
+    crossings = _Crossings(
+        col=col,
+        top=top,
+        bottom=end_row - 1,
+        label_above=label_above.astype(np.int64),
+        label_below=label_below.astype(np.int64),
+    ).select(is_crossing)
+    is_cell_open, first_indices = crossings.read_cells(is_open)
+    return crossings.select(np.logical_and.reduceat(is_cell_open, first_indices))
+
+
+def _select_crossings(crossings: _Crossings, marks: Marks) -> tuple[_Crossings, Marks]:
+    """Select the crossings with a cell that is marked in a direction.
+
+    Args:
+        crossings: crossings in the scan order of the direction.
+        marks: the marks of the direction.
+
+    Returns:
+        The crossings, and the greatest mark of each.
+    """
+    mark_of_cell, first_indices = crossings.read_cells(marks)
+    greatest_mark = np.maximum.reduceat(mark_of_cell, first_indices)
+    return crossings.select(greatest_mark > 0), greatest_mark[greatest_mark > 0]
 
 
 def _find_previous_crossings(crossings: _Crossings, scan: Scan) -> Int:
@@ -367,7 +457,7 @@ def _find_previous_crossings(crossings: _Crossings, scan: Scan) -> Int:
     Returns:
         The index of the crossing in the previous column, -1 if there is none, shape (n,).
     """
-    num_labels = scan.label.max(initial=0) + 1
+    num_labels = crossings.label_below.max(initial=0) + 1
     num_cols = scan.label.shape[1]
     # A key of the two spaces and the column; the previous column has the key minus 1.
     pair_key = crossings.label_above * num_labels + crossings.label_below

@@ -17,6 +17,7 @@ from navbake.baker.columns.columns import TiledShapes, cast_points, tile_shapes
 from navbake.baker.core.arrays import Facets
 from navbake.baker.core.blocks import join_arrays
 from navbake.baker.core.components import find_row_runs
+from navbake.baker.core.windows import Window, grow_window
 from navbake.baker.geometry.shapes import Shapes, boxes_in_batches
 from navbake.baker.rooms import gap_kernels as kernels
 from navbake.baker.rooms.gap_limits import MAX_JAMB_DISTANCE, MAX_WALL_DISTANCE
@@ -220,7 +221,9 @@ class WallDirection(NamedTuple):
         slope: how many rows the direction goes down from one column of the scan to the next, -1 to
             1.
         length_per_column: the length of a line from one column to the next, 1 to √2 [cells].
-        is_near_wall: a mask of the cells near walls in this direction, shape (height, width), not
+        window: the rows and columns of the lattice, not swapped, outside of which no cell is near
+            walls in this direction.
+        is_near_wall: a mask of the window's cells that are near such walls, shape (rows, cols), not
             swapped.
     """
 
@@ -228,6 +231,7 @@ class WallDirection(NamedTuple):
     shift: Int
     slope: float
     length_per_column: float
+    window: Window
     is_near_wall: Bool
 
 
@@ -324,27 +328,44 @@ def _list_directions(
         if not directions:
             main_angle = wall_angle
         if abs((wall_angle - main_angle + 45.0) % 90.0 - 45.0) > RIGHT_ANGLE_TOLERANCE:
-            is_near_wall = _mark_near_points(near_position[:, is_on_wall], shape, cell_size)
-            direction = direction._replace(is_near_wall=is_near_wall)
+            window, is_near_wall = _mark_near_points(near_position[:, is_on_wall], shape, cell_size)
+            direction = direction._replace(window=window, is_near_wall=is_near_wall)
         directions.append(direction)
         is_remaining[is_near_angle] = ~is_on_wall
         num_points_on_walls += int(is_on_wall.sum())
 
 
-def _mark_near_points(position: Float, shape: tuple[int, ...], cell_size: float) -> Bool:
+def _mark_near_points(
+    position: Float, shape: tuple[int, ...], cell_size: float
+) -> tuple[Window, Bool]:
     """Mark the cells within `NEAR_WALL_DISTANCE` of points.
 
     Args:
         position: rows and columns of the points, shape (2, n) [cells].
         shape: the shape of the lattice, (height, width).
         cell_size: the side of a cell, > 0 [m].
+
+    Returns:
+        A window that holds all of these cells, and a mask of them in the window.
     """
-    is_wall: Bool = np.zeros(shape, dtype=np.bool_)
     row, col = np.rint(position).astype(np.int64)
     is_inside = (row >= 0) & (row < shape[0]) & (col >= 0) & (col < shape[1])
-    is_wall[row[is_inside], col[is_inside]] = True
+    row = row[is_inside]
+    col = col[is_inside]
+    if not len(row):
+        return (slice(0, 0), slice(0, 0)), np.zeros((0, 0), dtype=np.bool_)
     reach = round(NEAR_WALL_DISTANCE / cell_size)
-    return np.asarray(measure_squared_distances(is_wall, reach) <= reach**2)
+    window_of_points = (
+        slice(int(row.min()), int(row.max()) + 1),
+        slice(int(col.min()), int(col.max()) + 1),
+    )
+    window = grow_window(window_of_points, reach, reach, shape)
+    row_slice, col_slice = window
+    is_point: Bool = np.zeros(
+        (row_slice.stop - row_slice.start, col_slice.stop - col_slice.start), dtype=np.bool_
+    )
+    is_point[row - row_slice.start, col - col_slice.start] = True
+    return window, np.asarray(measure_squared_distances(is_point, reach) <= reach**2)
 
 
 def _find_cell_points(is_open: Bool, cell_size: float) -> WallPoints:
@@ -481,6 +502,7 @@ def make_direction(angle: float, shape: tuple[int, ...]) -> WallDirection:
         shift=np.rint(np.arange(num_cols) * slope).astype(np.int64),
         slope=float(slope),
         length_per_column=float(np.hypot(1.0, slope)),
+        window=(slice(0, shape[0]), slice(0, shape[1])),
         is_near_wall=np.broadcast_to(np.True_, shape),
     )
 
