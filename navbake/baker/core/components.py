@@ -3,13 +3,15 @@
 scipy has such functions, but takes longer to load than the apartment takes to bake.
 """
 
-from typing import Any
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.core.union_find import number_components
 from navbake.types import Int, Int32
+
+ScalarT = TypeVar("ScalarT", bound=np.generic)
 
 
 def label_components(pairs: Int, num_nodes: int) -> Int32:
@@ -63,31 +65,74 @@ def expand_ranges(begin: Int | Int32, end: Int | Int32) -> tuple[Int, Int]:
     return range_index, np.arange(len(range_index)) + value_minus_position
 
 
-def find_row_runs(values: NDArray[Any]) -> tuple[Int, Int, Int, NDArray[Any]]:
+class RowRuns(NamedTuple):
+    """Runs of equal values other than 0 in the rows of an array, row by row from the left.
+
+    Attributes:
+        row: the row of each run, shape (runs,).
+        first_col: its first column, shape (runs,).
+        end_col: the column after its last one, shape (runs,).
+        value: its value, shape (runs,).
+    """
+
+    row: Int
+    first_col: Int
+    end_col: Int
+    value: NDArray[Any]
+
+    def paint(self, values: NDArray[ScalarT], shape: tuple[int, ...]) -> NDArray[ScalarT]:
+        """Return an array with a value for each run, and 0 between the runs.
+
+        This takes a fraction of the time that it takes to look up each cell's value in a table.
+
+        Args:
+            values: the value of each run, shape (runs,).
+            shape: the shape of the array whose runs these are, (rows, cols).
+        """
+        num_rows, num_cols = shape
+        # lengths of gap, run, gap, run, … over all cells in order; then the gap behind the last run
+        run_bounds = np.stack(
+            [self.row * num_cols + self.first_col, self.row * num_cols + self.end_col], axis=1
+        ).ravel()
+        piece_lengths = np.diff(run_bounds, prepend=0, append=num_rows * num_cols)
+        value_of_piece = np.zeros(len(piece_lengths), dtype=values.dtype)
+        value_of_piece[1::2] = values
+        return np.repeat(value_of_piece, piece_lengths).reshape(num_rows, num_cols)
+
+    def count_cells(self, labels: Int | Int32, num_labels: int) -> Int:
+        """Count the cells of each label.
+
+        Args:
+            labels: the label of each run, shape (runs,).
+            num_labels: number of labels, which count from 0.
+
+        Returns:
+            How many cells the runs of each label have together, shape (num_labels,).
+        """
+        return np.bincount(labels, self.end_col - self.first_col, num_labels).astype(np.int64)
+
+
+def find_row_runs(values: NDArray[Any]) -> RowRuns:
     """Find the runs of equal values other than 0 in the rows of an array.
 
     Args:
-        values: bool or integer, shape (rows, cols).
-
-    Returns:
-        For each run: its row, its first column, the column after its last one, and its value; shape
-        (runs,) each, row by row from the left.
+        values: bool or integer, shape (rows, cols), at least one column.
     """
-    num_rows = values.shape[0]
-    padded_width = values.shape[1] + 1
-    flat_values = np.zeros(
-        num_rows * padded_width + 1, dtype=values.dtype
-    )  # each row ends with a 0
-    flat_values[1:].reshape(num_rows, padded_width)[:, :-1] = values
-    change_indices = np.flatnonzero(flat_values[1:] != flat_values[:-1])
-    value_after_change = flat_values[1 + change_indices]
+    num_rows, num_cols = values.shape
+    # each row begins and ends with a change from and to 0, unless its first or last value is 0
+    is_change = np.empty((num_rows, num_cols + 1), dtype=np.bool_)
+    is_change[:, 0] = values[:, 0] != 0
+    np.not_equal(values[:, 1:], values[:, :-1], out=is_change[:, 1:-1])
+    is_change[:, -1] = values[:, -1] != 0
+    row, col = np.divmod(np.flatnonzero(is_change), num_cols + 1)
+    value_after_change = values[row, np.minimum(col, num_cols - 1)]
+    value_after_change[col == num_cols] = 0
     run_indices = np.flatnonzero(value_after_change)
-    row, first_col = np.divmod(change_indices[run_indices], padded_width)
-    return (
-        row,
-        first_col,
-        change_indices[run_indices + 1] - row * padded_width,
-        value_after_change[run_indices],
+    return RowRuns(
+        row=row[run_indices],
+        first_col=col[run_indices],
+        end_col=col[run_indices + 1],
+        value=value_after_change[run_indices],
     )
 
 
@@ -102,41 +147,47 @@ def count_cells_by_label(labels: Int32, num_labels: int) -> Int:
         How many cells each label has, shape (num_labels,). Cells with label 0 are not counted, so
         the first entry is 0.
     """
-    _, first_col, end_col, label = find_row_runs(labels)
-    return np.bincount(label, end_col - first_col, num_labels).astype(np.int64)
+    runs = find_row_runs(labels)
+    return runs.count_cells(runs.value, num_labels)
 
 
-def label_components_2d(values: NDArray[Any]) -> tuple[Int32, int]:
-    """Label the 4-connected components of cells with equal values (Rosenfeld and Pfaltz, 1966).
+def label_runs(runs: RowRuns, num_cols: int) -> tuple[Int32, Int]:
+    """Label the 4-connected components of runs with equal values (Rosenfeld and Pfaltz, 1966).
+
+    Args:
+        runs: the runs of an array.
+        num_cols: the number of the array's columns.
+
+    Returns:
+        The label of each run, shape (runs,); and the number of cells with each label, shape
+        (components + 1,), 0 for label 0. Labels count from 1, in the order of the components' first
+        runs.
+    """
+    # each row has a column more, so that no run touches the next row's
+    run_begin = runs.row * (num_cols + 1) + runs.first_col
+    run_end = runs.row * (num_cols + 1) + runs.end_col
+    # the runs of the next row that begin before a run's end and end behind its beginning
+    first_lower_run = np.searchsorted(run_end, run_begin + num_cols + 1, "right")
+    end_lower_run = np.searchsorted(run_begin, run_end + num_cols + 1, "left")
+    upper_run, lower_run = expand_ranges(first_lower_run, end_lower_run)
+    is_equal = runs.value[upper_run] == runs.value[lower_run]
+    label = 1 + label_components(
+        np.stack([upper_run[is_equal], lower_run[is_equal]]), len(runs.row)
+    )
+    return label, runs.count_cells(label, int(label.max(initial=0)) + 1)
+
+
+def label_components_2d(values: NDArray[Any]) -> tuple[Int32, Int]:
+    """Label the 4-connected components of cells with equal values.
 
     Args:
         values: bool or integer, shape (rows, cols); cells with 0 are in no component.
 
     Returns:
-        The label of each cell, shape (rows, cols), and the number of components. Labels count from
-        1, in the order of the components' first cells; 0 means no component.
+        The label of each cell, shape (rows, cols), and the number of cells with each label, shape
+        (components + 1,). Labels count from 1, in the order of the components' first cells; 0 means
+        no component, and its cells are not counted.
     """
-    num_rows, num_cols = values.shape
-    row_of_run, first_col, end_col, value_of_run = find_row_runs(values)
-    # each row has a column more, so that no run touches the next row's
-    run_begin = row_of_run * (num_cols + 1) + first_col
-    run_end = row_of_run * (num_cols + 1) + end_col
-    # the runs of the next row that begin before a run's end and end behind its beginning
-    first_lower_run = np.searchsorted(run_end, run_begin + num_cols + 1, "right")
-    end_lower_run = np.searchsorted(run_begin, run_end + num_cols + 1, "left")
-    upper_run, lower_run = expand_ranges(first_lower_run, end_lower_run)
-    is_equal = value_of_run[upper_run] == value_of_run[lower_run]
-    component_of_run = label_components(
-        np.stack([upper_run[is_equal], lower_run[is_equal]]), len(row_of_run)
-    )
-    # lengths of gap, run, gap, run, … over all cells in order; then the gap behind the last run
-    run_bounds = np.stack(
-        [row_of_run * num_cols + first_col, row_of_run * num_cols + end_col], axis=1
-    ).ravel()
-    piece_lengths = np.diff(run_bounds, prepend=0)
-    label_of_piece = np.zeros(len(piece_lengths) + 1, dtype=np.int32)
-    label_of_piece[1:-1:2] = component_of_run + 1
-    labels = np.repeat(
-        label_of_piece, np.append(piece_lengths, num_rows * num_cols - piece_lengths.sum())
-    )
-    return labels.reshape(num_rows, num_cols), int(component_of_run.max(initial=-1)) + 1
+    runs = find_row_runs(values)
+    label_of_run, num_cells = label_runs(runs, values.shape[1])
+    return runs.paint(label_of_run, values.shape), num_cells

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.columns.columns import ColumnSource, cast_columns, tile_shapes
 from navbake.baker.core.arrays import Solids
-from navbake.baker.core.components import label_components_2d
+from navbake.baker.core.components import find_row_runs, label_runs
 from navbake.baker.core.constants import BUILDING, WALL
 from navbake.baker.core.tolerances import SAME_HEIGHT
 from navbake.baker.floors.levels import Floors, LevelFloor
@@ -175,6 +175,8 @@ def gather_flags(
     # the same on all levels
     is_empty = (column_flags[0].reshape(lattice.shape) & EMPTY) > 0
     is_at_outside = mark_edge(is_empty, ALL_SIDES)
+    is_scene_end = _find_scene_ends(scene, lattice)
+    is_at_scene_end = is_at_outside if is_scene_end.all() else mark_edge(is_empty, is_scene_end)
     is_wall = np.zeros(lattice.shape, dtype=np.bool_)
     is_low = np.zeros(lattice.shape, dtype=np.bool_)
     for level_number, level in enumerate(floors.levels):
@@ -208,7 +210,7 @@ def gather_flags(
     return RoomFlags(
         lattice=lattice,
         levels=levels,
-        is_at_scene_end=mark_edge(is_empty, _find_scene_ends(scene, lattice)),
+        is_at_scene_end=is_at_scene_end,
         wall_shapes=scene.structure.only(is_wall_geom),
         has_ground=len(scene.structure.planes.geom) > 0,
         steps=floors.steps,
@@ -247,18 +249,26 @@ def mark_edge(is_empty: Bool, is_outer_side: Bool) -> Bool:
         A mask of the cells that are not empty, and are at such a side or next to empty cells that
         are connected to such a side, shape (height, width).
     """
-    is_empty_padded = np.pad(is_empty, 1)
-    is_empty_padded[[0, -1]] |= is_outer_side[0][:, None]
-    is_empty_padded[:, [0, -1]] |= is_outer_side[1]
-    component, _ = label_components_2d(is_empty_padded)
-    outer_components = np.unique(
-        np.concatenate([component[[0, -1]].ravel(), component[:, [0, -1]].ravel()])
-    )
-    is_outside = np.isin(component, outer_components[outer_components > 0])
-    is_next_in_col = is_outside[:-2, 1:-1] | is_outside[2:, 1:-1]
-    is_next_in_row = is_outside[1:-1, :-2] | is_outside[1:-1, 2:]
-    is_edge: Bool = is_next_in_col | is_next_in_row
-    return is_edge & ~is_outside[1:-1, 1:-1]
+    height, width = is_empty.shape
+    runs = find_row_runs(is_empty)
+    component_of_run, num_cells = label_runs(runs, width)
+    (is_upper_outer, is_lower_outer), (is_left_outer, is_right_outer) = is_outer_side.tolist()
+    is_run_outer = (runs.row == 0) & is_upper_outer
+    is_run_outer |= (runs.row == height - 1) & is_lower_outer
+    is_run_outer |= (runs.first_col == 0) & is_left_outer
+    is_run_outer |= (runs.end_col == width) & is_right_outer
+    is_component_outer = np.zeros(len(num_cells), dtype=np.bool_)
+    is_component_outer[component_of_run[is_run_outer]] = True
+    # with what is beyond the sides
+    is_outside = np.zeros((height + 2, width + 2), dtype=np.bool_)
+    is_outside[[0, -1]] = is_outer_side[0][:, None]
+    is_outside[:, [0, -1]] = is_outer_side[1]
+    is_outside[1:-1, 1:-1] = runs.paint(is_component_outer[component_of_run], is_empty.shape)
+    is_edge: Bool = is_outside[:-2, 1:-1] | is_outside[2:, 1:-1]
+    is_edge |= is_outside[1:-1, :-2]
+    is_edge |= is_outside[1:-1, 2:]
+    is_edge &= ~is_outside[1:-1, 1:-1]
+    return is_edge
 
 
 # ---------------------------------------------------------------- rooms that are marked

@@ -27,11 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.core.components import (
-    count_cells_by_label,
     expand_ranges,
     find_row_runs,
     label_components,
-    label_components_2d,
+    label_runs,
 )
 from navbake.baker.core.windows import Window, grow_window
 from navbake.baker.rooms import gap_kernels as kernels
@@ -359,16 +358,15 @@ def label_spaces(is_open: Bool, is_marked: Bool, cell_size: float) -> tuple[Int3
         The label of each cell's space, from 1, 0 for none, shape (height, width); and the number of
         cells of each label, 0 for label 0.
     """
-    label, num_spaces = label_components_2d(is_open & ~is_marked)
-    num_cells = count_cells_by_label(label, num_spaces + 1)
+    runs = find_row_runs(is_open & ~is_marked)
+    component_of_run, num_cells = label_runs(runs, is_open.shape[1])
     is_space = num_cells * cell_size**2 >= MIN_SPACE_AREA
     is_space[0] = True
-    if is_space.all():
-        return label, num_cells
-    is_marked |= is_open & ~is_space[label]
-    # The remaining spaces keep their order.
-    new_label = np.where(is_space, np.cumsum(is_space) - 1, 0).astype(np.int32)
-    return new_label[label], np.bincount(new_label, num_cells).astype(np.int64)
+    # Spaces keep the order of their components.
+    space_of_component = np.where(is_space, np.cumsum(is_space) - 1, 0).astype(np.int32)
+    label = runs.paint(space_of_component[component_of_run], is_open.shape)
+    is_marked |= is_open & (label == 0)
+    return label, num_cells[is_space]
 
 
 def _list_gaps(scan: Scan, crossings: _Crossings, marks: Marks) -> Gaps:
@@ -416,15 +414,15 @@ def _list_crossings(label: Int32, is_open: Bool, is_marked: Bool) -> _Crossings:
         is_open: a mask of the cells that a line can pass through, in this order.
         is_marked: a mask of the cells that are closed, or marked in any direction, in this order.
     """
-    col, top, end_row, _ = find_row_runs(is_marked.T)
+    runs = find_row_runs(is_marked.T)  # along columns
     # At the lattice's edge, the cell above or below is the marked cell itself, without a label.
-    label_above = label[np.maximum(top - 1, 0), col]
-    label_below = label[np.minimum(end_row, len(label) - 1), col]
+    label_above = label[np.maximum(runs.first_col - 1, 0), runs.row]
+    label_below = label[np.minimum(runs.end_col, len(label) - 1), runs.row]
     is_crossing = (label_above > 0) & (label_below > 0) & (label_above != label_below)
     crossings = _Crossings(
-        col=col,
-        top=top,
-        bottom=end_row - 1,
+        col=runs.row,
+        top=runs.first_col,
+        bottom=runs.end_col - 1,
         label_above=label_above.astype(np.int64),
         label_below=label_below.astype(np.int64),
     ).select(is_crossing)

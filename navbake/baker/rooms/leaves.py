@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.core.components import count_cells_by_label, label_components_2d
+from navbake.baker.core.components import label_components_2d
 from navbake.baker.rooms.flags import LevelFlags
 from navbake.types import Bool, Float, Int, Int32
 
@@ -183,10 +183,9 @@ class _SpacesBetweenLeaves:
         """
         self.is_barrier = is_barrier
         self._level = level
-        self._label, num_components = label_components_2d(level.is_open & ~is_barrier)
-        num_labels = num_components + 1
+        self._label, num_cells = label_components_2d(level.is_open & ~is_barrier)
+        num_labels = len(num_cells)
         min_cells = MIN_FREE_AREA / cell_size**2
-        num_cells = count_cells_by_label(self._label, num_labels)
         num_free = np.bincount(self._label[~level.is_occupied], minlength=num_labels)
         is_at_edge = np.zeros(num_labels, dtype=np.bool_)
         is_at_edge[self._label[level.is_at_edge]] = True

@@ -14,16 +14,17 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.core.components import (
-    count_cells_by_label,
+    RowRuns,
+    find_row_runs,
     label_components,
-    label_components_2d,
+    label_runs,
     list_adjacent_pairs,
 )
 from navbake.baker.core.level_stacks import LevelStack, make_level_stacks
 from navbake.baker.core.windows import list_differing_pairs
 from navbake.baker.rooms.flags import MIN_OUTDOOR_EDGE, RoomFlags
-from navbake.baker.rooms.segmentation import CELL_ROUNDING, find_widest_distances
-from navbake.baker.rooms.walls import mark_wall_nodes, measure_squared_distances
+from navbake.baker.rooms.segmentation import CELL_ROUNDING, measure_widest_places
+from navbake.baker.rooms.walls import measure_squared_distances
 from navbake.types import Bool, Float, Int, Int32
 
 # A space that nothing leads into is a room if it has at least this area [m²] and greatest width [m]
@@ -42,12 +43,14 @@ class StackedSegments(NamedTuple):
     Attributes:
         stack: the levels.
         segment: the segment of each cell, from 1, 0 for none, shape (rows, width).
+        runs: the runs of cells of one segment in the rows of `segment`.
         level_index: by segment, the index of its level in the stack, 0 for segment 0, shape
             (segments + 1,).
     """
 
     stack: LevelStack
     segment: Int32
+    runs: RowRuns
     level_index: Int
 
 
@@ -77,16 +80,12 @@ def find_room_segments(
     for stack in make_level_stacks(len(segments), flags.lattice.shape):
         stacked_segments = _number_segments(stack, segments)
         is_cavity = _mark_cavities(stacked_segments, room_numbers, flags, cells_beyond)
-        if is_cavity.any():
-            number_without_cavities = np.arange(len(is_cavity), dtype=np.int32)
-            number_without_cavities[is_cavity] = 0
-            stacked_segments = stacked_segments._replace(
-                segment=number_without_cavities[stacked_segments.segment]
-            )
         united_segment, is_outdoors = _find_outdoors(stacked_segments, flags)
-        number = np.where(united_segment > 0, united_segment + np.int32(num_segments), 0)
-        number = number.astype(np.int32)
-        numbered_segments += list(stack.unstack(number[stacked_segments.segment]))
+        number = united_segment + np.int32(num_segments)
+        number[0] = 0
+        number[is_cavity] = 0
+        _, segment, runs, _ = stacked_segments
+        numbered_segments += list(stack.unstack(runs.paint(number[runs.value], segment.shape)))
         outdoor_segments.update(number[is_outdoors].tolist())
         num_segments += len(united_segment) - 1
     return numbered_segments, outdoor_segments
@@ -106,7 +105,7 @@ def _number_segments(stack: LevelStack, segments: Sequence[Int32]) -> StackedSeg
         by_level = stack.unstack(segment)  # a view: the sum is written into `segment`
         by_level += np.where(by_level > 0, num_segments_below[:, None, None], 0).astype(np.int32)
     level_index = np.repeat(np.arange(len(stack.levels)), num_segments_of_level)
-    return StackedSegments(stack, segment, np.append(0, level_index))
+    return StackedSegments(stack, segment, find_row_runs(segment), np.append(0, level_index))
 
 
 def _mark_cavities(
@@ -132,12 +131,12 @@ def _mark_cavities(
     Returns:
         By segment, whether it is a cavity, shape (segments + 1,).
     """
-    stack, segment, level_index = stacked_segments
+    stack, segment, runs, level_index = stacked_segments
     cell_size = flags.lattice.cell_size
     num_labels = len(level_index)
-    area = count_cells_by_label(segment, num_labels) * cell_size**2
-    room_number = stack.stack(room_numbers)
-    space_of_cell = np.where(room_number > 0, room_number + num_labels, segment)
+    area = runs.count_cells(runs.value, num_labels) * cell_size**2
+    # all marked rooms are one space: which of them a segment touches makes no difference
+    space_of_cell = np.where(stack.stack(room_numbers) > 0, np.int32(num_labels), segment)
     touching_spaces = space_of_cell.ravel()[list_differing_pairs(space_of_cell)]
     is_connected = np.zeros(num_labels, dtype=np.bool_)
     is_connected[0] = True
@@ -160,8 +159,8 @@ def _mark_cavities(
     if (is_connected | is_cavity).all():
         return is_cavity
     reach = int(MIN_CLOSED_ROOM_WIDTH / cell_size) + 2
-    widest_squared = find_widest_distances(
-        segment, measure_squared_distances(mark_wall_nodes(segment > 0), reach), num_labels
+    widest_squared = measure_widest_places(
+        segment, runs, segment > 0, ~is_connected & ~is_cavity, reach
     )
     is_wide = widest_squared >= (MIN_CLOSED_ROOM_WIDTH / cell_size) ** 2 - CELL_ROUNDING
     return is_cavity | ~is_connected & ~is_wide
@@ -183,7 +182,7 @@ def _find_outdoors(stacked_segments: StackedSegments, flags: RoomFlags) -> tuple
         By segment, the lowest number of the segments that it is united with, itself included; and
         whether it is outdoors; shape (segments + 1,) each.
     """
-    stack, segment, level_index = stacked_segments
+    stack, segment, runs, level_index = stacked_segments
     cell_size = flags.lattice.cell_size
     num_labels = len(level_index)
     is_at_edge = stack.stack([level.is_at_edge for level in flags.levels])
@@ -191,19 +190,20 @@ def _find_outdoors(stacked_segments: StackedSegments, flags: RoomFlags) -> tuple
     is_candidate = edge_extents * cell_size > MIN_OUTDOOR_EDGE
     if not is_candidate.any():
         return np.arange(num_labels, dtype=np.int32), is_candidate
-    is_in_candidate = is_candidate[segment]
+    is_in_candidate = runs.paint(is_candidate[runs.value], segment.shape)
     is_under_sky = stack.stack([level.is_under_sky for level in flags.levels])
     is_under_open_sky = is_under_sky[is_in_candidate]
     if not is_under_open_sky.all():
         # where the lattice crops the scene, rooms go on beyond it
         is_at_scene_end = stack.unstack(is_in_candidate) & flags.is_at_scene_end
         if is_at_scene_end.any():
-            distance = _measure_distances(is_at_scene_end, MAX_EAVES_DEPTH, cell_size)
-            is_near_end = distance <= MAX_EAVES_DEPTH
-            is_under_open_sky |= is_near_end[stack.unstack(is_in_candidate)]
+            reach = int(MAX_EAVES_DEPTH / cell_size) + 1
+            squared_distance = _measure_squared_distances_on_levels(is_at_scene_end, reach)
+            distance = np.sqrt(squared_distance[stack.unstack(is_in_candidate)]) * cell_size
+            is_under_open_sky |= distance <= MAX_EAVES_DEPTH
     cell_segments = segment[is_in_candidate]
     num_under_open_sky = np.bincount(cell_segments[is_under_open_sky], minlength=num_labels)
-    num_cells = np.bincount(cell_segments, minlength=num_labels)
+    num_cells = runs.count_cells(runs.value, num_labels)
     is_outdoors = is_candidate & (num_under_open_sky >= MIN_OPEN_SHARE * num_cells)
     is_bank = stack.stack([level.is_bank for level in flags.levels])
     united_segment = _unite_touching(segment, is_outdoors, is_bank)
@@ -214,26 +214,22 @@ def _find_outdoors(stacked_segments: StackedSegments, flags: RoomFlags) -> tuple
     return united_segment, is_outdoors
 
 
-def _measure_distances(is_target: Bool, max_distance: float, cell_size: float) -> Float:
+def _measure_squared_distances_on_levels(is_target: Bool, reach: int) -> Int32:
     """Measure how far each cell is from the nearest target cell of its level.
 
     Args:
         is_target: a mask of the target cells, shape (levels, height, width).
-        max_distance: the largest distance that matters, >= 0 [m].
-        cell_size: the side of a cell, > 0 [m].
+        reach: the largest distance that is measured, >= 0 [cells].
 
     Returns:
-        The distances, of the shape of `is_target` [m]; larger ones than `max_distance` are not
-        exact.
+        The squared distances, of the shape of `is_target`, see `measure_squared_distances`.
     """
-    reach = int(max_distance / cell_size) + 1
     num_levels, height, width = is_target.shape
     # so far apart that no level is in reach of another
     is_target_apart = np.zeros((num_levels, height + reach, width), dtype=np.bool_)
     is_target_apart[:, :height] = is_target
     squared_distance = measure_squared_distances(is_target_apart.reshape(-1, width), reach)
-    squared_distance = squared_distance.reshape(is_target_apart.shape)[:, :height]
-    return np.asarray(np.sqrt(squared_distance) * cell_size)
+    return squared_distance.reshape(is_target_apart.shape)[:, :height]
 
 
 def _unite_touching(segment: Int32, is_outdoors: Bool, is_bank: Bool) -> Int32:
@@ -247,10 +243,12 @@ def _unite_touching(segment: Int32, is_outdoors: Bool, is_bank: Bool) -> Int32:
     Returns:
         By segment, the lowest number of the segments that it is united with, itself included.
     """
-    bank_of_cell, num_banks = label_components_2d(is_bank)
-    # nodes are the segments, and behind them the banks
-    node_of_cell = np.where(is_bank, bank_of_cell + len(is_outdoors) - 1, segment)
-    may_join = np.concatenate([is_outdoors, np.ones(num_banks, dtype=np.bool_)])
+    bank_runs = find_row_runs(is_bank)
+    bank_of_run, num_bank_cells = label_runs(bank_runs, is_bank.shape[1])
+    # nodes are the segments, and behind them the banks, on other cells
+    node_of_cell = bank_runs.paint(bank_of_run + np.int32(len(is_outdoors) - 1), is_bank.shape)
+    node_of_cell += segment
+    may_join = np.concatenate([is_outdoors, np.ones(len(num_bank_cells) - 1, dtype=np.bool_)])
     touching_nodes = node_of_cell.ravel()[list_differing_pairs(node_of_cell)]
     # the first node of a component is its least
     component = label_components(

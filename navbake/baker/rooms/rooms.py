@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.core.components import (
-    count_cells_by_label,
     find_row_runs,
     label_components,
     list_adjacent_pairs,
@@ -29,7 +28,7 @@ from navbake.baker.rooms.segmentation import (
     assign_leaf_cells,
     assign_unmarked,
     label_undivided_floors,
-    renumber,
+    number_in_order,
     segment_by_gaps,
 )
 from navbake.config.settings import RoomSettings
@@ -207,13 +206,14 @@ def find_rooms(
     room_index = list[RoomIndex]()
     room_descriptions = list[list[RoomDescription]]()
     for level_number, room_of_cell in enumerate(room_assignment.room_numbers):
-        room_number, used_rooms = renumber(room_of_cell)
+        runs = find_row_runs(room_of_cell)
+        room_of_run, used_rooms = number_in_order(runs.value)
         if len(used_rooms) > MAX_ROOMS:
             raise SceneError(
                 f"expected at most {MAX_ROOMS} rooms on a level, got {len(used_rooms)} on level "
                 f"{level_number}: raise `rooms.min_area`"
             )
-        room_index.append(room_number.astype(np.uint16))
+        room_index.append(runs.paint(room_of_run.astype(np.uint16), room_of_cell.shape))
         room_descriptions.append([room_assignment.rooms[room - 1] for room in used_rooms])
     floors = [level.floor for level in flags.levels]
     occupied_masks = [level.is_occupied for level in flags.levels]
@@ -290,8 +290,9 @@ class _RoomAssignment:
             label = np.where(
                 flags.is_open & (room_number == 0), marked_rooms.labels[level_number], 0
             )
+            runs = find_row_runs(label)
             new_room_number = np.zeros(len(marked_rooms.names) + 1, dtype=np.int32)  # by label
-            num_cells = count_cells_by_label(label, len(new_room_number))
+            num_cells = runs.count_cells(runs.value, len(new_room_number))
             for room_index in np.flatnonzero(num_cells[1:]).tolist():
                 self.rooms.append(
                     RoomDescription(
@@ -301,7 +302,7 @@ class _RoomAssignment:
                     )
                 )
                 new_room_number[room_index + 1] = len(self.rooms)
-            room_number += new_room_number[label]
+            room_number += runs.paint(new_room_number[runs.value], label.shape)
             if source != "auto":
                 covered_labels = marked_rooms.covered_labels or marked_rooms.labels
                 room_under = self._room_under[level_number]
@@ -448,18 +449,18 @@ def make_room_table(
     name_counts = Counter(room.name for level_rooms in room_descriptions for room in level_rooms)
     table = []
     for level_number, (room_of_cell, floor) in enumerate(zip(room_index, floors, strict=True)):
-        run_rows, run_first_cols, run_end_cols, run_rooms = find_row_runs(room_of_cell)
-        run_lengths = run_end_cols - run_first_cols
+        runs = find_row_runs(room_of_cell)
+        run_lengths = runs.end_col - runs.first_col
         heights_in_micrometres = np.rint(floor[room_of_cell > 0] * MICROMETRES)
         height_sums = np.add.reduceat(heights_in_micrometres, np.cumsum(run_lengths) - run_lengths)
         # Sums of whole numbers don't depend on their order. The mean column of a run of cells may
         # end in .5, so twice its sum is used.
-        num_cells = np.bincount(run_rooms, run_lengths, minlength=1)
-        row_sum = np.bincount(run_rooms, run_rows * run_lengths, minlength=1)
+        num_cells = np.bincount(runs.value, run_lengths, minlength=1)
+        row_sum = np.bincount(runs.value, runs.row * run_lengths, minlength=1)
         twice_col_sum = np.bincount(
-            run_rooms, (run_first_cols + run_end_cols - 1) * run_lengths, minlength=1
+            runs.value, (runs.first_col + runs.end_col - 1) * run_lengths, minlength=1
         )
-        z_sum = np.bincount(run_rooms, height_sums, minlength=1)
+        z_sum = np.bincount(runs.value, height_sums, minlength=1)
         x = lattice.x_min + (twice_col_sum / 2 / np.maximum(num_cells, 1) + 0.5) * lattice.cell_size
         y = lattice.y_max - (row_sum / np.maximum(num_cells, 1) + 0.5) * lattice.cell_size
         z = z_sum / np.maximum(num_cells, 1) / MICROMETRES

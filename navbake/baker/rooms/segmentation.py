@@ -22,12 +22,13 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.core.components import (
+    RowRuns,
     count_cells_by_label,
     find_row_runs,
     label_components_2d,
 )
 from navbake.baker.core.level_stacks import make_level_stacks
-from navbake.baker.core.windows import bounding_window, list_differing_pairs
+from navbake.baker.core.windows import bounding_window, grow_window, list_differing_pairs
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.rooms.flags import LevelFlags
 from navbake.baker.rooms.gap_limits import MAX_GAP_WIDTH, MIN_SPACE_AREA
@@ -150,8 +151,19 @@ def segment_by_gaps(
         cells_beyond = np.stack([beyond_row - row_slice.start, beyond_col - col_slice.start])
     spread_labels(label, is_open)
     _label_spaces_behind(cells_beyond, label, is_open)
-    label = _join_spaces(label, is_open, floor, is_at_edge, cells_beyond, cell_size, min_area)
-    segment[window], _ = renumber(label)
+    runs = find_row_runs(label)
+    space_of_label = _join_spaces(
+        label=label,
+        runs=runs,
+        is_open=is_open,
+        floor=floor,
+        is_at_edge=is_at_edge,
+        cells_beyond=cells_beyond,
+        cell_size=cell_size,
+        min_area=min_area,
+    )
+    segment_of_run, _ = number_in_order(space_of_label[runs.value])
+    segment[window] = runs.paint(segment_of_run, label.shape)
     close_calls = [
         close_call._replace(
             row_col=(
@@ -194,8 +206,7 @@ def label_undivided_floors(
         floor = stack.unstack(stack.stack([level.floor for level in levels]))
         rise = np.fmax.reduce(floor, axis=(1, 2)) - np.fmin.reduce(floor, axis=(1, 2))
         is_divided |= rise >= _min_steep_rise(cell_size) / 2
-        label, num_labels = label_components_2d(is_open)
-        num_cells = count_cells_by_label(label, num_labels + 1)
+        label, num_cells = label_components_2d(is_open)
         by_level = stack.unstack(label)
         # parts are numbered level by level
         last_label = np.maximum.accumulate(by_level.max(axis=(1, 2)))
@@ -250,8 +261,8 @@ def _label_spaces_behind(cells_beyond: Int, label: Int32, is_open: Bool) -> None
     row, col = cells_beyond[:, label[tuple(cells_beyond)] == 0]
     if not len(row):
         return
-    component, num_components = label_components_2d(is_open & (label == 0))
-    new_label = np.zeros(num_components + 1, dtype=np.int32)
+    component, num_cells = label_components_2d(is_open & (label == 0))
+    new_label = np.zeros(len(num_cells), dtype=np.int32)
     unlabelled_components = np.unique(component[row, col])
     new_label[unlabelled_components] = label.max() + 1 + np.arange(len(unlabelled_components))
     label += new_label[component]
@@ -259,6 +270,7 @@ def _label_spaces_behind(cells_beyond: Int, label: Int32, is_open: Bool) -> None
 
 def _join_spaces(
     label: Int32,
+    runs: RowRuns,
     is_open: Bool,
     floor: Float,
     is_at_edge: Bool,
@@ -270,6 +282,7 @@ def _join_spaces(
 
     Args:
         label: the space of each cell, 0 for none, shape (height, width).
+        runs: the runs of cells of one space in the rows of `label`.
         is_open: cells of spaces and of gaps between them.
         floor: heights of the floor [m].
         is_at_edge: cells at the outer boundary of the scene, see `LevelFlags.is_at_edge`.
@@ -279,16 +292,17 @@ def _join_spaces(
         min_area: the least area of a room [m²].
 
     Returns:
-        The space of each cell after the joins, 0 where it is still too small for a room.
+        By label, the space after the joins, 0 if that is still too small for a room, shape
+        (labels,).
     """
     min_cells = min_area / cell_size**2 - CELL_ROUNDING
-    num_labels = int(label.max(initial=0)) + 1
-    num_cells = count_cells_by_label(label, num_labels)
+    num_labels = int(runs.value.max(initial=0)) + 1
+    num_cells = runs.count_cells(runs.value, num_labels)
     num_steep_cells = np.bincount(label[mark_steep(label, floor, cell_size)], minlength=num_labels)
     is_stair = num_steep_cells >= MIN_STAIR_SHARE * np.maximum(num_cells, 1)
     may_join = is_stair | (num_cells > 0) & (num_cells < min_cells)
     if not may_join[1:].any():
-        return label
+        return np.arange(num_labels, dtype=np.int32)
     num_at_edge = np.bincount(label[is_at_edge], minlength=num_labels)
     is_room = np.bincount(label[tuple(cells_beyond)], minlength=num_labels) > 0
     is_room &= num_at_edge == 0
@@ -300,12 +314,10 @@ def _join_spaces(
             label.ravel(), np.where(label > 0, floor, 0.0).ravel(), num_labels
         )
         mean_heights = height_sums / np.maximum(num_cells, 1)
-        widest_squared = find_widest_distances(
-            label, measure_squared_distances(mark_wall_nodes(is_open), reach), num_labels
-        )
+        widest_squared = measure_widest_places(label, runs, is_open, is_stair, reach)
         space_graph.join_stairs(is_stair, mean_heights, np.sqrt(widest_squared))
     space_graph.join_small_spaces(min_cells, num_at_edge, MAX_GAP_WIDTH / cell_size)
-    return space_graph.select_rooms(min_cells, is_room)[label]
+    return space_graph.select_rooms(min_cells, is_room)
 
 
 def spread_labels(label: Int32, is_open: Bool) -> None:
@@ -377,11 +389,12 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
     reach = _steepness_reach(cell_size)
     min_rise = _min_steep_rise(cell_size)
     is_steep = np.zeros(label.shape, dtype=np.bool_)
-    if not np.fmax.reduce(floor, axis=None) - np.fmin.reduce(floor, axis=None) >= min_rise / 2:
-        return is_steep
 
     def mark_rows(first_row: int, end_row: int) -> None:
         window = slice(max(first_row - reach, 0), end_row + reach)
+        lowest_floor = np.fmin.reduce(floor[window], axis=None)
+        if not np.fmax.reduce(floor[window], axis=None) - lowest_floor >= min_rise / 2:
+            return
         floor_height = np.where(label[window] > 0, floor[window], np.nan)
         squared_rise = np.zeros(floor_height.shape)  # over rows and columns together
         for height_along, squared_rise_along in (
@@ -475,7 +488,7 @@ class _SpaceGraph:
         Args:
             is_stair: by label, whether the space is a stair.
             mean_height: by label, the mean height of the space's floor [m].
-            widest_distance: by label, the distance to walls at the space's widest place [half
+            widest_distance: by label, the distance to walls at the widest place of a stair [half
                 cells]; is changed.
         """
         for stair in np.flatnonzero(is_stair).tolist():
@@ -596,6 +609,37 @@ def _edge_nodes(cells: Int, width: int) -> tuple[Int, Int]:
     return rows, cols
 
 
+def measure_widest_places(
+    label: Int32, runs: RowRuns, is_open: Bool, is_measured: Bool, reach: int
+) -> Int32:
+    """Measure how far the widest place of each of some labelled areas is from the nearest wall.
+
+    Args:
+        label: the label of each cell, 0 for none, shape (height, width).
+        runs: the runs of cells with one label in the rows of `label`.
+        is_open: a mask of the cells without a wall, shape (height, width); all labelled cells are.
+        is_measured: by label, whether its area is measured, shape (labels,); at least one, not 0.
+        reach: up to which distance from walls is measured, >= 0 [half cells].
+
+    Returns:
+        For each label, see `find_widest_distances`; 0 for those that are not measured.
+    """
+    is_run_measured = is_measured[runs.value]
+    rows = runs.row[is_run_measured]
+    window_of_areas = (
+        slice(int(rows[0]), int(rows[-1]) + 1),
+        slice(int(runs.first_col[is_run_measured].min()), int(runs.end_col[is_run_measured].max())),
+    )
+    margin = reach // 2 + 1  # walls farther away are beyond the reach
+    window = grow_window(window_of_areas, margin, margin, label.shape)
+    label_in_window = label[window]
+    return find_widest_distances(
+        np.where(is_measured[label_in_window], label_in_window, np.int32(0)),
+        measure_squared_distances(mark_wall_nodes(is_open[window]), reach),
+        len(is_measured),
+    )
+
+
 def find_widest_distances(label: Int32, squared_distance: Int32, num_labels: int) -> Int32:
     """Find how far the widest place of each labelled area is from the nearest wall.
 
@@ -610,14 +654,13 @@ def find_widest_distances(label: Int32, squared_distance: Int32, num_labels: int
         For each label, the largest squared distance of all nodes on its cells, shape (num_labels,),
         int32 [half cells squared].
     """
-    widest_in_rows = np.maximum(
-        squared_distance[1::2], np.maximum(squared_distance[:-2:2], squared_distance[2::2])
-    )
-    widest_in_cells = np.maximum(
-        widest_in_rows[:, 1::2], np.maximum(widest_in_rows[:, :-2:2], widest_in_rows[:, 2::2])
-    )
+    widest_in_rows = np.maximum(squared_distance[:-2:2], squared_distance[2::2])
+    np.maximum(widest_in_rows, squared_distance[1::2], out=widest_in_rows)
+    widest_in_cells = np.maximum(widest_in_rows[:, :-2:2], widest_in_rows[:, 2::2])
+    np.maximum(widest_in_cells, widest_in_rows[:, 1::2], out=widest_in_cells)
+    is_labelled = label > 0
     widest_squared = np.zeros(num_labels, dtype=np.int32)
-    np.maximum.at(widest_squared, label[label > 0], widest_in_cells[label > 0])
+    np.maximum.at(widest_squared, label[is_labelled], widest_in_cells[is_labelled])
     return widest_squared
 
 
@@ -784,7 +827,7 @@ def _find_most_touched_room(component: Int32, room_number: Int32, num_labels: in
     return touched_room
 
 
-def renumber(label: Int32) -> tuple[Int32, Int]:
+def renumber(label: Int32) -> tuple[Int32, Int32]:
     """Renumber labels from 1, in the order in which their first cells are read, row by row.
 
     Args:
@@ -793,9 +836,24 @@ def renumber(label: Int32) -> tuple[Int32, Int]:
     Returns:
         The new label of each cell; and the old labels in the order of the new ones.
     """
-    *_, run_labels = find_row_runs(label)
-    used_labels, first_runs = np.unique(run_labels, return_index=True)
-    labels_in_order = used_labels[np.argsort(first_runs)]
+    runs = find_row_runs(label)
+    new_label_of_run, labels_in_order = number_in_order(runs.value)
+    return runs.paint(new_label_of_run, label.shape), labels_in_order
+
+
+def number_in_order(label: Int32) -> tuple[Int32, Int32]:
+    """Renumber labels from 1, in the order in which they come first.
+
+    Args:
+        label: labels of cells or of runs, in the order in which they are read, 0 for none, shape
+            (n,).
+
+    Returns:
+        The new labels, shape (n,); and the old labels in the order of the new ones.
+    """
+    used_labels, first_indices = np.unique(label, return_index=True)
+    labels_in_order = used_labels[np.argsort(first_indices)]
+    labels_in_order = labels_in_order[labels_in_order > 0]
     new_label = np.zeros(int(labels_in_order.max(initial=0)) + 1, dtype=np.int32)
     new_label[labels_in_order] = np.arange(1, len(labels_in_order) + 1)
     return new_label[label], labels_in_order

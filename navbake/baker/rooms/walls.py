@@ -851,8 +851,8 @@ def find_windows(is_low: Bool, is_wall: Bool, cell_size: float) -> Bool:
     for direction, is_sill, wait_for_sills in scans:
         wait_for_sills()
         max_sill_rows = int(MAX_SILL_THICKNESS * direction.length_per_column / cell_size) + 2
-        run_cols, run_tops, run_ends, _ = find_row_runs(is_sill.T)
-        for run in np.flatnonzero(run_ends - run_tops > max_sill_rows).tolist():
-            is_sill[run_tops[run] : run_ends[run], run_cols[run]] = False
+        runs = find_row_runs(is_sill.T)  # along columns
+        for run in np.flatnonzero(runs.end_col - runs.first_col > max_sill_rows).tolist():
+            is_sill[runs.first_col[run] : runs.end_col[run], runs.row[run]] = False
         is_window |= from_scan_order(is_sill, direction)
     return is_window

@@ -44,12 +44,14 @@ def test_parts_over_edges_are_those_of_scipy(shape):
     for share in (0.0, 0.4, 0.6, 0.8, 1.0):
         mask = rng.random(shape) < share
         expected, count = ndimage.label(mask)
-        found, parts = label_components_2d(mask)
-        assert parts == count
+        found, num_cells = label_components_2d(mask)
+        np.testing.assert_array_equal(num_cells[1:], np.bincount(expected.ravel())[1:])
+        assert (len(num_cells), num_cells[0]) == (count + 1, 0)
         np.testing.assert_array_equal(found, expected)
 
 
 def test_parts_of_one_value_are_apart_from_others():
     values = np.array([[1, 1, 2, 0], [1, 2, 2, 1], [0, 0, 1, 1]], dtype=np.int32)
-    found, parts = label_components_2d(values)
-    assert (found.tolist(), parts) == ([[1, 1, 2, 0], [1, 2, 2, 3], [0, 0, 3, 3]], 3)
+    found, num_cells = label_components_2d(values)
+    assert found.tolist() == [[1, 1, 2, 0], [1, 2, 2, 3], [0, 0, 3, 3]]
+    assert num_cells.tolist() == [0, 3, 3, 3]
