@@ -329,33 +329,42 @@ def spread_labels(label: Int32, is_open: Bool) -> None:
     This rule does not depend on the map's orientation.
 
     Args:
-        label: the label of each cell, from 1, 0 for none, shape (height, width); is changed.
+        label: the label of each cell, from 1, 0 for none, shape (height, width), C order; is
+            changed.
         is_open: cells that may receive a label.
     """
-    if not (is_open & (label == 0)).any():
-        return
-    padded_width = label.shape[1] + 2
-    flat_labels = np.pad(label, 1).ravel()
-    unlabelled_cells = np.flatnonzero(np.pad(is_open, 1).ravel() & (flat_labels == 0))
+    height, width = label.shape
+    flat_labels = label.reshape(-1)  # a view
+    unlabelled_cells = np.flatnonzero(is_open & (label == 0))
+    row, col = np.divmod(unlabelled_cells, width)
+    # the four neighbours; at the lattice's edge, the cell itself in place of one beyond it
+    neighbors = np.stack(
+        [
+            unlabelled_cells + (col < width - 1),
+            unlabelled_cells + width * (row < height - 1),
+            unlabelled_cells - (col > 0),
+            unlabelled_cells - width * (row > 0),
+        ]
+    )
+    neighbor_steps = (0, 1), (1, 0), (0, -1), (-1, 0)  # rows and columns to them
     # from each cell to the cell that its label is from
-    rows_to_sources = np.zeros(len(flat_labels), dtype=np.int32)
-    cols_to_sources = np.zeros(len(flat_labels), dtype=np.int32)
-    # to the four neighbours: rows, columns, and both in the padded array
-    neighbor_steps = (0, 1, 1), (1, 0, padded_width), (0, -1, -1), (-1, 0, -padded_width)
-    while len(unlabelled_cells):
-        is_reached = np.logical_or.reduce(
-            [flat_labels[unlabelled_cells + id_step] > 0 for _, _, id_step in neighbor_steps]
-        )
+    rows_to_sources = np.zeros(label.size, dtype=np.int32)
+    cols_to_sources = np.zeros(label.size, dtype=np.int32)
+    while True:
+        is_reached = (flat_labels[neighbors] > 0).any(axis=0)
         if not is_reached.any():
-            break
+            return
         reached_cells = unlabelled_cells[is_reached]
+        neighbors_of_reached = neighbors.compress(is_reached, axis=1)
         unlabelled_cells = unlabelled_cells[~is_reached]
+        neighbors = neighbors.compress(~is_reached, axis=1)
         best_squared_distance = np.zeros(len(reached_cells), dtype=np.int32)
         best_label = np.zeros(len(reached_cells), dtype=np.int32)
         best_rows_to_source = np.zeros(len(reached_cells), dtype=np.int32)
         best_cols_to_source = np.zeros(len(reached_cells), dtype=np.int32)
-        for row_step, col_step, id_step in neighbor_steps:
-            neighbor = reached_cells + id_step
+        for neighbor, (row_step, col_step) in zip(
+            neighbors_of_reached, neighbor_steps, strict=True
+        ):
             new_label = flat_labels[neighbor]
             rows_to_source = rows_to_sources[neighbor] + row_step
             cols_to_source = cols_to_sources[neighbor] + col_step
@@ -375,7 +384,6 @@ def spread_labels(label: Int32, is_open: Bool) -> None:
         flat_labels[reached_cells] = best_label
         rows_to_sources[reached_cells] = best_rows_to_source
         cols_to_sources[reached_cells] = best_cols_to_source
-    label[:] = flat_labels.reshape(-1, padded_width)[1:-1, 1:-1]
 
 
 def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
