@@ -8,7 +8,7 @@ from navbake.baker.bake.baked import FloorLattice
 from navbake.baker.columns.column_sources import split_cells
 from navbake.baker.columns.columns import ColumnSource, ShapeSource
 from navbake.baker.core.arrays import HeightRange
-from navbake.baker.core.components import count_cells_by_label, label_components_2d
+from navbake.baker.core.components import label_components_2d
 from navbake.baker.floors.levels import Floors, LevelFloor, crop_floors, fill_holes, find_floors
 from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.occupancy.footprint import Footprint
@@ -133,9 +133,8 @@ def measure_holes(
     if level.unseen is None:
         is_occupied = make_occupancy_test(columns, shape_source, config)
         level = fill_holes(level, MAX_SCAN_HOLE_AREA / cell_area, is_occupied)
-    hole_of_cell, num_holes = label_components_2d(np.asarray(level.unseen))
-    num_cells_of_hole = count_cells_by_label(hole_of_cell, num_holes + 1)[1:]
-    hole_areas: Float = num_cells_of_hole.astype(np.float64) * cell_area
+    _, num_cells_of_hole = label_components_2d(np.asarray(level.unseen))
+    hole_areas: Float = num_cells_of_hole[1:].astype(np.float64) * cell_area
     return hole_areas
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.columns.columns import ColumnSource
-from navbake.baker.core.components import count_cells_by_label, label_components_2d
+from navbake.baker.core.components import label_components_2d
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.core.windows import Window, crop_cells
 from navbake.baker.floors.growth import GrownFloor, find_listed_steps, grow_floors
@@ -338,8 +338,8 @@ def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) 
     Returns:
         The level with a floor in the closed holes; its mask `unseen` is True there.
     """
-    hole_of_cell, num_holes = label_components_2d(np.isnan(level.floor))
-    num_cells_in_hole = count_cells_by_label(hole_of_cell, num_holes + 1).astype(np.float64)
+    hole_of_cell, num_cells = label_components_2d(np.isnan(level.floor))
+    num_cells_in_hole = num_cells.astype(np.float64)
     # holes at the lattice's border are not surrounded by floor
     for border_holes in (
         hole_of_cell[0],
