@@ -208,19 +208,22 @@ def cross_all(
     columns = [cross_part(part, x, y) for part in parts]
     unsure = np.zeros(len(x), dtype=bool)
     for part, column in zip(parts, columns, strict=True):
-        unsure |= np.isinf(column.z).any(axis=0)
-        unsure |= ((column.up > min_normal_z - 2e-6) & (column.up < min_normal_z - 1e-7)).any(
-            axis=0
-        )
+        is_steep = (column.up > min_normal_z - 2e-6) & (column.up < min_normal_z - 1e-7)
+        unsure |= (np.isinf(column.z) | is_steep).any(axis=0)
         if isinstance(part, HalfSpace):
             continue
+        # lines that are not near miss the part, and so do those beside them
+        near = np.flatnonzero(_is_near(part, x, y))
+        crosses = ~np.isnan(column.z[:, near])
+        faces_up = crosses & (column.up[:, near] >= min_normal_z)
         for dx, dy in NUDGES:
-            nearby = cross_part(part, x + dx, y + dy)
-            if nearby.z.shape != column.z.shape:
+            nearby = _cross_near(part, x[near] + dx, y[near] + dy)
+            if nearby.z.shape != crosses.shape:
                 return columns, np.ones(len(x), dtype=bool)
-            unsure |= (np.isnan(nearby.z) != np.isnan(column.z)).any(axis=0)
-            faces_up = ~np.isnan(column.z) & (column.up >= min_normal_z)
-            unsure |= (faces_up != (~np.isnan(nearby.z) & (nearby.up >= min_normal_z))).any(axis=0)
+            crosses_nearby = ~np.isnan(nearby.z)
+            differs = crosses != crosses_nearby
+            differs |= faces_up != (crosses_nearby & (nearby.up >= min_normal_z))
+            unsure[near] |= differs.any(axis=0)
     return columns, unsure
 
 

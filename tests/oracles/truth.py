@@ -10,6 +10,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_erosion
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -215,16 +216,18 @@ class Truth:
         little farther at corners, from their centres less half a cell: unsure where they differ.
         """
         cell, limit = self.rules.cell_size, self.rules.min_area
+        if cells.sum() * cell**2 < limit - 1e-5:  # even before shrinking it is too small
+            return False
         reach = math.ceil(self.rules.shrink / cell) + 1
         mask = np.pad(cells.reshape(self.shape), reach)
-        by_square, by_center = mask.copy(), mask.copy()
-        for row in range(-reach, reach + 1):
-            for col in range(-reach, reach + 1):
-                beyond = ~np.roll(mask, (row, col), axis=(0, 1))
-                away = math.hypot(max(abs(row) - 0.5, 0.0), max(abs(col) - 0.5, 0.0)) * cell
-                by_square &= ~beyond | (away >= self.rules.shrink - SURE)
-                away = (math.hypot(row, col) - 0.5) * cell
-                by_center &= ~beyond | (away >= self.rules.shrink - SURE)
+        away = np.abs(np.arange(-reach, reach + 1))
+        away_of_square = np.maximum(away - 0.5, 0.0)
+        too_near = (
+            np.hypot(away_of_square[:, None], away_of_square) * cell < self.rules.shrink - SURE
+        )
+        by_square = binary_erosion(mask, too_near)
+        too_near = (np.hypot(away[:, None], away) - 0.5) * cell < self.rules.shrink - SURE
+        by_center = binary_erosion(mask, too_near)
         least, most = by_square.sum() * cell**2, by_center.sum() * cell**2
         if (least >= limit) != (most >= limit) or min(abs(least - limit), abs(most - limit)) < 1e-5:
             raise UnsureError("a sheet is just large enough")

@@ -11,6 +11,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -62,8 +63,10 @@ def surfaces_alone() -> Iterator[None]:
 
 
 # ---------------------------------------------------------------- scenes
+# Strategies are made once: Hypothesis looks through each new one before it draws from it.
 
 
+@cache
 def millimetres(low: float, high: float) -> st.SearchStrategy[float]:
     return st.integers(round(low * 1000), round(high * 1000)).map(lambda n: n / 1000)
 
@@ -73,6 +76,7 @@ yaws = st.integers(-314, 314).map(lambda n: n / 100)
 tilts = st.one_of(st.just(0.0), st.just(0.0), st.integers(1, 314).map(lambda n: n / 100))
 
 
+@cache
 @st.composite
 def quats(draw: st.DrawFn) -> tuple[float, float, float, float]:
     """A turn round z, and half of the time a tilt round some level axis before that."""
@@ -83,12 +87,14 @@ def quats(draw: st.DrawFn) -> tuple[float, float, float, float]:
     return (a * c, d * (a * u - b * v), d * (a * v + b * u), b * c)
 
 
+@cache
 @st.composite
 def places(draw: st.DrawFn, half: float, low: float = -0.4, high: float = 1.8):
     x, y = draw(millimetres(-half, half)), draw(millimetres(-half, half))
     return x, y, draw(millimetres(low, high))
 
 
+@cache
 @st.composite
 def solids(draw: st.DrawFn, half: float, kinds: tuple[str, ...]) -> Thing:
     kind = draw(st.sampled_from(kinds))
@@ -105,6 +111,7 @@ def solids(draw: st.DrawFn, half: float, kinds: tuple[str, ...]) -> Thing:
     return Thing(kind, size, (x, y, z), quat)
 
 
+@cache
 @st.composite
 def floors(draw: st.DrawFn, half: float) -> list[Thing]:
     """An infinite plane, level or sloping; a floor box, of whole extent or part; or two."""
@@ -148,6 +155,7 @@ def stacked(draw: st.DrawFn, things: list[Thing]) -> list[Thing]:
     return out
 
 
+@cache
 @st.composite
 def rules(draw: st.DrawFn) -> Rules:
     cell = draw(st.sampled_from([0.05, 0.07, 0.1, 0.13, 0.2, 0.3]))
@@ -187,6 +195,7 @@ def prism_mesh(outline: list[tuple[float, float]], parts: list[tuple[int, ...]],
     return tuple(vertices), tuple(faces)
 
 
+@cache
 @st.composite
 def shells(draw: st.DrawFn) -> tuple[tuple, tuple]:
     """A closed mesh: an L, a wedge or a skewed box."""
@@ -203,6 +212,7 @@ def shells(draw: st.DrawFn) -> tuple[tuple, tuple]:
     return (*low, *((x + skew, y - skew / 2, c) for x, y, _ in low)), BOX_FACES
 
 
+@cache
 @st.composite
 def sheets(draw: st.DrawFn) -> tuple[tuple, tuple]:
     """An open mesh: a patch of hilly ground, front up, down, or (standing) sideways."""
@@ -224,6 +234,7 @@ def sheets(draw: st.DrawFn) -> tuple[tuple, tuple]:
     return tuple(vertices), tuple(faces)
 
 
+@cache
 @st.composite
 def meshes(draw: st.DrawFn, half: float) -> Thing:
     x, y, z = draw(places(half, -0.3, 1.4))
