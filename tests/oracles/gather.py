@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from kernel_parts import callable_part
 from navbake.baker.columns.columns import Columns, TiledShapes
 from navbake.baker.core.arrays import Prism
 from navbake.baker.core.constants import APART, MEETS, OPEN_SURFACE, UNDECIDED
@@ -19,11 +19,11 @@ from navbake.baker.geometry.overlap_kernels import (
 from navbake.baker.geometry.solid_kernels import solid_meets_prism
 
 # parts of kernels as functions that Python can call
-allocate_simplex = numba.njit(allocate_simplex.py_func)
-plane_meets_prism = numba.njit(plane_meets_prism.py_func)
-solid_meets_prism = numba.njit(solid_meets_prism.py_func)
-triangle_meets_prism = numba.njit(triangle_meets_prism.py_func)
-allocate_polygons = numba.njit(allocate_polygons.py_func)
+allocate_simplex = callable_part(allocate_simplex)
+plane_meets_prism = callable_part(plane_meets_prism)
+solid_meets_prism = callable_part(solid_meets_prism)
+triangle_meets_prism = callable_part(triangle_meets_prism)
+allocate_polygons = callable_part(allocate_polygons)
 
 SIMPLEX, POLYGONS = allocate_simplex(), allocate_polygons()
 

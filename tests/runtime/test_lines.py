@@ -2,17 +2,17 @@
 
 import math
 
-import numba
 import numpy as np
 import pytest
 
+from kernel_parts import callable_part
 from navbake.runtime import line_kernels as lines
 from navbake.runtime.grid_arrays import EAST, SOUTH, FloorHeights, Graph, Layout, Links
 from navbake.runtime.search_kernels import find_moves
 
 # parts of kernels as functions that Python can call
 crossed_cells, disc_passes, is_walkable, line_cost = (
-    numba.njit(part.py_func)
+    callable_part(part)
     for part in (
         lines.find_crossed_cells,
         lines.disc_passes,

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
+from kernel_parts import callable_part
 from navbake.baker.core.union_find import find_root, unite
 
 # parts of kernels as functions that Python can call
-find_root = numba.njit(find_root.py_func)
-unite = numba.njit(unite.py_func)
+find_root = callable_part(find_root)
+unite = callable_part(unite)
 
 
 def test_roots_are_the_lowest_members_whatever_the_order():

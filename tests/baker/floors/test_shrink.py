@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 from scipy import ndimage
 
+from kernel_parts import callable_part
 from navbake.baker.core.area_test import AreaTest, disc_half_widths, is_large_enough
 from navbake.baker.floors import region_kernels
 from navbake.config.settings import FloorSettings
 from navbake.navgrid.lattice import Lattice
 
-shrink = numba.njit(region_kernels.shrink.py_func)
+shrink = callable_part(region_kernels.shrink)
 
 
 def count(mask, limit):

@@ -8,12 +8,12 @@ from __future__ import annotations
 import os
 
 import fcl
-import numba
 import numpy as np
 import pytest
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from kernel_parts import callable_part
 from navbake.baker.core.arrays import Planes, Prism, Solids
 from navbake.baker.core.constants import (
     APART,
@@ -36,11 +36,11 @@ from oracles.prisms import Prisms
 from oracles.surfaces import disc_meets, square_meets
 
 # parts of kernels as functions that Python can call
-allocate_simplex = numba.njit(allocate_simplex.py_func)
-gjk_meets_prism = numba.njit(gjk_meets_prism.py_func)
-allocate_polygons = numba.njit(allocate_polygons.py_func)
-plane_meets_prism = numba.njit(plane_meets_prism.py_func)
-triangle_meets_prism = numba.njit(triangle_meets_prism.py_func)
+allocate_simplex = callable_part(allocate_simplex)
+gjk_meets_prism = callable_part(gjk_meets_prism)
+allocate_polygons = callable_part(allocate_polygons)
+plane_meets_prism = callable_part(plane_meets_prism)
+triangle_meets_prism = callable_part(triangle_meets_prism)
 
 PAIRS = int(os.environ.get("NAVBAKE_EXAMPLES", "1500"))
 KINDS = {

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 from numpy.random import Generator
 
+from kernel_parts import callable_part
 from navbake.baker.core.arrays import Prism, Solids
 from navbake.baker.core.constants import (
     APART,
@@ -21,9 +21,9 @@ from navbake.baker.geometry.gjk_kernels import allocate_simplex, gjk_meets_prism
 from navbake.baker.geometry.solid_kernels import solid_meets_prism
 
 # parts of kernels as functions that Python can call
-allocate_simplex = numba.njit(allocate_simplex.py_func)
-gjk_meets_prism = numba.njit(gjk_meets_prism.py_func)
-solid_meets_prism = numba.njit(solid_meets_prism.py_func)
+allocate_simplex = callable_part(allocate_simplex)
+gjk_meets_prism = callable_part(gjk_meets_prism)
+solid_meets_prism = callable_part(solid_meets_prism)
 
 SIMPLEX = allocate_simplex()
 KINDS = {"sphere": SPHERE, "capsule": CAPSULE, "cylinder": CYLINDER, "box": BOX}

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 
+from kernel_parts import callable_part
 from navbake.baker.core.arrays import Facets
 from navbake.baker.geometry.extents import NUM_DIRECTIONS, FacingAreas
 from navbake.baker.geometry.shapes import (
@@ -23,7 +23,7 @@ from navbake.baker.geometry.triangle_kernels import (
 from navbake.baker.readers.orientation import MAX_AXIS_DISTANCE, list_axes
 
 # parts of kernels as functions that Python can call
-unit_normal = numba.njit(unit_normal.py_func)
+unit_normal = callable_part(unit_normal)
 
 
 @pytest.fixture(params=range(10))
