@@ -29,7 +29,7 @@ class Prisms:
 
     Attributes:
         x, y, low, high: centres and heights, shape (n,) [m].
-        half: half of the square's edge, or the disc's radius [m].
+        half: half of the square's edge, or the disc's radius: one for all, or shape (n,) [m].
         is_round: discs rather than squares.
     """
 
@@ -37,7 +37,7 @@ class Prisms:
     y: Float
     low: Float
     high: Float
-    half: float
+    half: float | Float
     is_round: bool
 
     def shrunk(self, margin: float) -> Prisms:

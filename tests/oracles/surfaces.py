@@ -54,8 +54,8 @@ def surface_meets_prisms(surface: Surface, prisms: Prisms) -> NDArray[np.int64]:
         if not len(near):
             continue
         meets = disc_meets if prisms.is_round else square_meets
-        state[near[meets(corners, outer.only(near))]] = UNKNOWN
-        near = near[meets(corners, inner.only(near))]
+        state[near[meets(corners[None], outer.only(near))]] = UNKNOWN
+        near = near[meets(corners[None], inner.only(near))]
         state[near] = OCCUPIED
     return state
 
@@ -69,54 +69,78 @@ def _boxes_meet(corners: Float, prisms: Prisms) -> NDArray[np.bool_]:
 
 
 def square_meets(corners: Float, prisms: Prisms) -> NDArray[np.bool_]:
-    """No one of the thirteen axes separates the triangle from the box."""
-    local = corners[None] - prisms.center()[:, None]
+    """No one of the thirteen axes separates a triangle from a box.
+
+    Args:
+        corners: of a triangle for each prism, or of one for all, shape (n or 1, 3, 3) [m].
+        prisms: n of them.
+    """
+    local = corners - prisms.center()[:, None]
     half = np.stack(
         [np.full_like(prisms.x, prisms.half)] * 2 + [(prisms.high - prisms.low) / 2], axis=1
     )
-    edges = np.roll(corners, -1, axis=0) - corners
-    axes = [*np.eye(3), np.cross(edges[0], edges[1])]
-    axes += [np.cross(edge, side) for edge, side in itertools.product(edges, np.eye(3))]
+    edges = np.roll(corners, -1, axis=1) - corners
+    axes = [*np.eye(3)[:, None], np.cross(edges[:, 0], edges[:, 1])]
+    axes += [np.cross(edges[:, k], side) for k, side in itertools.product(range(3), np.eye(3))]
     met = np.ones(len(prisms.x), dtype=bool)
     for axis in axes:
-        length = np.linalg.norm(axis)
-        if length < 1e-12:
-            continue
-        on_axis = local @ (axis / length)
-        reach = half @ np.abs(axis / length)
-        met &= (on_axis.min(axis=1) <= reach) & (on_axis.max(axis=1) >= -reach)
+        length = np.linalg.norm(axis, axis=1)
+        is_axis = length >= 1e-12
+        unit = axis / np.where(is_axis, length, 1.0)[:, None]
+        on_axis = (local * unit[:, None]).sum(axis=2)
+        reach = (half * np.abs(unit)).sum(axis=1)
+        met &= ~is_axis | ((on_axis.min(axis=1) <= reach) & (on_axis.max(axis=1) >= -reach))
     return met
 
 
 def disc_meets(corners: Float, prisms: Prisms) -> NDArray[np.bool_]:
-    """The part of the triangle between the heights comes near enough to the axis.
+    """The part of a triangle between the heights comes near enough to the axis.
 
     The nearest point of that part is above or below the axis itself, on an edge, or where the
     triangle passes one of the two heights.
+
+    Args:
+        corners: of a triangle for each prism, or of one for all, shape (n or 1, 3, 3) [m].
+        prisms: n of them.
     """
-    z, _ = Surface(corners[None], False).cross(prisms.x, prisms.y)
-    met = (z[0] >= prisms.low) & (z[0] <= prisms.high)
-    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        rise = b[2] - a[2]
-        if rise == 0.0:
-            inside = (a[2] >= prisms.low) & (a[2] <= prisms.high)
-            first, last = np.where(inside, 0.0, 1.0), np.where(inside, 1.0, 0.0)
-        else:
-            ends = np.sort((np.stack([prisms.low, prisms.high]) - a[2]) / rise, axis=0)
-            first, last = np.maximum(ends[0], 0.0), np.minimum(ends[1], 1.0)
-        met |= _line_near(a[None], b[None], first, last, prisms)
+    z = _heights_at(corners, prisms.x, prisms.y)
+    met = (z >= prisms.low) & (z <= prisms.high)
+    edges = [(corners[:, k], corners[:, (k + 1) % 3]) for k in range(3)]
+    for a, b in edges:
+        rise = b[:, 2] - a[:, 2]
+        is_level = rise == 0.0
+        inside = (a[:, 2] >= prisms.low) & (a[:, 2] <= prisms.high)
+        ends = np.stack([prisms.low, prisms.high]) - a[:, 2]
+        ends = np.sort(ends / np.where(is_level, 1.0, rise), axis=0)
+        first = np.where(is_level, np.where(inside, 0.0, 1.0), np.maximum(ends[0], 0.0))
+        last = np.where(is_level, np.where(inside, 1.0, 0.0), np.minimum(ends[1], 1.0))
+        met |= _line_near(a, b, first, last, prisms)
     for height in (prisms.low, prisms.high):
         ends = []
-        for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-            if a[2] == b[2]:
-                continue
-            t = (height - a[2]) / (b[2] - a[2])
-            ends.append(np.where(((t >= 0) & (t <= 1))[:, None], a + t[:, None] * (b - a), np.nan))
+        for a, b in edges:
+            rise = b[:, 2] - a[:, 2]
+            t = (height - a[:, 2]) / np.where(rise == 0.0, 1.0, rise)
+            passes = (rise != 0.0) & (t >= 0) & (t <= 1)
+            ends.append(np.where(passes[:, None], a + t[:, None] * (b - a), np.nan))
         for a, b in itertools.combinations(ends, 2):
             valid = ~np.isnan(a[:, 0] + b[:, 0])
             first, last = np.zeros(len(height)), np.where(valid, 1.0, -1.0)
             met |= _line_near(np.nan_to_num(a), np.nan_to_num(b), first, last, prisms)
     return met
+
+
+def _heights_at(corners: Float, x: Float, y: Float) -> Float:
+    """Heights of triangles at lines, one triangle each or one for all; NaN where it is missed."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    normal = np.cross(b - a, c - a)
+    is_upright = np.abs(normal[:, 2]) < 1e-12 * np.linalg.norm(normal, axis=1).clip(1e-300)
+    within = ~is_upright
+    for p, q in ((a, b), (b, c), (c, a)):
+        side = (q[:, 0] - p[:, 0]) * (y - p[:, 1]) - (q[:, 1] - p[:, 1]) * (x - p[:, 0])
+        within = within & (side * np.sign(normal[:, 2]) >= 0)
+    along = normal[:, 0] * (x - a[:, 0]) + normal[:, 1] * (y - a[:, 1])
+    height = a[:, 2] - along / np.where(is_upright, 1.0, normal[:, 2])
+    return np.where(within, height, np.nan)
 
 
 def _line_near(a: Float, b: Float, first: Float, last: Float, prisms: Prisms) -> NDArray[np.bool_]:

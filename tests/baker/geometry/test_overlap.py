@@ -215,20 +215,21 @@ def random_triangle(rng: Generator, center: NDArray, size: float) -> NDArray:
 def test_triangles(is_round: bool) -> None:
     rng = np.random.default_rng(int(is_round))
     polygons = allocate_polygons()
-    counts = {True: 0, False: 0}
+    drawn = []
     for _ in range(4 * PAIRS):
         center, half, half_z, _ = random_prism(rng, is_round)
-        corners = random_triangle(rng, center, half + half_z)
-        x, y, z = center
-        low, high = z - half_z, z + half_z
-        prism = Prisms(*(np.array([v]) for v in (x, y, low, high)), half, is_round)
-        test = disc_meets if is_round else square_meets
-        inner, outer = (bool(test(corners, prism.shrunk(m))[0]) for m in (1e-9, -1e-9))
-        if inner != outer:
-            continue
-        answer = triangle_meets_prism(corners, Prism(x, y, low, high, half, is_round), polygons)
-        assert answer == inner, f"{corners}, {center}, {half}, {half_z}"
-        counts[inner] += 1
+        drawn.append((random_triangle(rng, center, half + half_z), *center, half, half_z))
+    corners, x, y, z, half, half_z = map(np.array, zip(*drawn, strict=True))
+    low, high = z - half_z, z + half_z
+    prisms = Prisms(x, y, low, high, half, is_round)
+    test = disc_meets if is_round else square_meets
+    inner, outer = (test(corners, prisms.shrunk(margin)) for margin in (1e-9, -1e-9))
+    counts = {True: 0, False: 0}
+    for k in np.flatnonzero(inner == outer).tolist():
+        prism = Prism(x[k], y[k], low[k], high[k], half[k], is_round)
+        answer = triangle_meets_prism(corners[k], prism, polygons)
+        assert answer == inner[k], f"{corners[k]}, {prism}"
+        counts[bool(inner[k])] += 1
     assert min(counts.values()) > PAIRS / 4
 
 
