@@ -71,10 +71,11 @@ def step_graph(grid, *, cut_corners=False):
     start = np.cumsum([0] + [level.free.size for level in grid.levels])
     steps = {}
     for k, level in enumerate(grid.levels):
+        floors = floors_of(level)
         for row, col in np.ndindex(level.shape):
             for r in (row - 1, row, row + 1):
                 for c in (col - 1, col, col + 1):
-                    if may_step(level, (row, col), (r, c), cut_corners, slopes[k]):
+                    if may_step(floors, (row, col), (r, c), cut_corners, slopes[k]):
                         length = level.cell_size * math.hypot(r - row, c - col)
                         a, b = (start[k] + y * level.width + x for y, x in ((row, col), (r, c)))
                         add(steps, a, b, length * level.weights[r, c])
@@ -110,7 +111,13 @@ def slopes_of(grid, number):
     return {frozenset((divmod(a, width), divmod(b, width))) for _, a, _, b in links}
 
 
-def may_step(level, here, there, cut_corners, slopes):
+def floors_of(level):
+    """The heights of the floors of a level's free cells, by (row, col) [m]."""
+    cells, heights = np.argwhere(level.free).tolist(), level.floor_height[level.free].tolist()
+    return {(row, col): height for (row, col), height in zip(cells, heights, strict=True)}
+
+
+def may_step(floors, here, there, cut_corners, slopes):
     """Whether a step leads from a cell to one of its eight neighbours.
 
     A diagonal one goes round both of its corners; with corners cut, it needs that only where it is
@@ -119,27 +126,23 @@ def may_step(level, here, there, cut_corners, slopes):
     if here == there:
         return False
     if here[0] == there[0] or here[1] == there[1]:
-        return is_joined(level, here, there, slopes)
-    if cut_corners and is_level(level, here, there):
+        return is_joined(floors, here, there, slopes)
+    if cut_corners and is_level(floors, here, there):
         return True
     beside = [(here[0], there[1]), (there[0], here[1])]
     ways = [pair for b in beside for pair in ((here, b), (b, there))]
-    if not all(is_joined(level, *pair, slopes) for pair in ways):
+    if not all(is_joined(floors, *pair, slopes) for pair in ways):
         return False
-    return is_level(level, here, there) or not all(is_level(level, *pair) for pair in ways)
+    return is_level(floors, here, there) or not all(is_level(floors, *pair) for pair in ways)
 
 
-def is_joined(level, a, b, slopes):
+def is_joined(floors, a, b, slopes):
     """A step, or neighbours of free cells that a link joins."""
-    if is_level(level, a, b):
+    if is_level(floors, a, b):
         return True
-    return frozenset((a, b)) in slopes and level.free[a] and level.free[b]
+    return frozenset((a, b)) in slopes and a in floors and b in floors
 
 
-def is_level(level, a, b):
+def is_level(floors, a, b):
     """Both cells are there and free, and their floors at most a step apart."""
-    for row, col in (a, b):
-        if not (0 <= row < level.height and 0 <= col < level.width and level.free[row, col]):
-            return False
-    rise = abs(float(level.floor_height[a]) - float(level.floor_height[b]))
-    return not rise > STEP + 1e-5
+    return a in floors and b in floors and not abs(floors[a] - floors[b]) > STEP + 1e-5

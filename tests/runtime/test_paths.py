@@ -280,7 +280,7 @@ def test_paths_keep_the_radius_that_a_grid_was_inflated_for(seed, radius, smooth
         if path is None:
             continue
         found += 1
-        line = np.array([path.at(d) for d in np.arange(0, path.length + 0.01, 0.01)])[:, :2]
+        line = path.at(np.arange(0, path.length + 0.01, 0.01))[:, :2]
         gap = np.abs(line[:, None] - squares) - 0.05
         nearest = min(nearest, np.hypot(*np.maximum(gap, 0).transpose(2, 0, 1)).min())
     assert found > 0

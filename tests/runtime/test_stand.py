@@ -205,8 +205,12 @@ def list_names(entry) -> list[str]:
     return [name for names in entry.values() for name in names]
 
 
-def find_by_brute_force(level, name, reach, footprint, facing, sight, height=None):
-    """Each cell where a base can stand, and the headings at which it can."""
+def find_by_brute_force(level, name, reach, masks, facing, sight, height=None):
+    """Each cell where a base can stand, and the headings at which it can.
+
+    Args:
+        masks: where the footprint fits, at each of 64 headings; None for a base without one.
+    """
     names = {divmod(cell, level.width): entry for cell, entry in level.user_data.items()}
     box = level.metadata["navbake"]["boxes"].get(name)
     own = [cell for cell, entry in names.items() if name in list_names(entry)]
@@ -218,48 +222,43 @@ def find_by_brute_force(level, name, reach, footprint, facing, sight, height=Non
             if not {*names[cell].get("walls", []), *names[cell].get("doors", [])} - {name}
         ] or own
 
-    @cache
-    def sides_of(cell):
-        """x and y of the cell's square, cut to the box, as seen from the origin."""
-        x, y = cell[1] * CELL, (level.height - 1 - cell[0]) * CELL
-        low, high = [x, y], [x + CELL, y + CELL]
+    bases = np.argwhere(level.free)
+
+    def measure(cells):
+        """From each base to each cell's square: the least distance, the greatest, and its middle.
+
+        A square is cut to the box.
+        """
+        points = (np.array([0.5, level.height - 0.5]) + bases[:, ::-1] * [1, -1])[:, None] * CELL
+        low = (np.array([0, level.height - 1]) + np.array(cells)[:, ::-1] * [1, -1]) * CELL
+        high = low + CELL
         if box:
-            low = [max(side, limit) for side, limit in zip(low, box[:2], strict=True)]
-            high = [min(side, limit) for side, limit in zip(high, box[3:5], strict=True)]
-        return low, high
+            low, high = np.maximum(low, box[:2]), np.minimum(high, box[3:5])
+        gaps = np.maximum(np.maximum(low - points, points - high), 0)
+        spans = np.maximum(high - points, points - low)
+        # the shoulder's is measured to the nearest height of the box
+        gap = 0.0 if height is None else max(box[2] - height, height - box[5], 0)
+        least = np.sqrt(np.square(gaps).sum(axis=2) + gap**2)
+        greatest = np.sqrt(np.square(spans).sum(axis=2) + gap**2)
+        return least, greatest, (low + high) / 2 - points
 
-    def measure(base, cell):
-        """The least and the greatest distance to the cell's square."""
-        point = ((base[1] + 0.5) * CELL, (level.height - base[0] - 0.5) * CELL)
-        low, high = sides_of(cell)
-        gaps = [max(a - p, p - b, 0) for p, a, b in zip(point, low, high, strict=True)]
-        spans = [max(b - p, p - a) for p, a, b in zip(point, low, high, strict=True)]
-        if height is not None:  # the shoulder's: to the nearest height of the box
-            gap = max(box[2] - height, height - box[5], 0)
-            gaps.append(gap)
-            spans.append(gap)
-        middle = [(a + b) / 2 - p for p, a, b in zip(point, low, high, strict=True)]
-        return math.hypot(*gaps), math.hypot(*spans), middle
-
-    masks = None if footprint is None else level.inflate_footprint(footprint, 64)[0]
+    nearest = measure(own)[0].min(axis=1)
+    _, farthest, middles = measure(aims)
     eye = 1.2 if sight is True else sight
     stands = {}
-    for base in map(tuple, np.argwhere(level.free).tolist()):
-        if min(measure(base, cell)[0] for cell in own) < reach[0] - 1e-9:
+    for number, base in enumerate(map(tuple, bases.tolist())):
+        if nearest[number] < reach[0] - 1e-9:
             continue
         seen = []
-        for aim in aims:
-            _, farthest, middle = measure(base, aim)
-            if farthest <= reach[1] + 1e-9 and (
-                not sight or is_in_sight(level, (base, aim), name, aims, eye)
-            ):
-                seen.append((farthest, middle))
+        for k in np.flatnonzero(farthest[number] <= reach[1] + 1e-9).tolist():
+            if not sight or is_in_sight(level, (base, aims[k]), name, aims, eye):
+                seen.append((farthest[number, k], middles[number, k]))
         if not seen:
             continue
         # of squares at one distance, the first counts
         x, y = min(seen, key=lambda distance_and_middle: round(distance_and_middle[0], 9))[1]
         if abs(x) < 1e-9 and abs(y) < 1e-9:
-            x, y = np.mean([measure(base, aim)[2] for aim in aims], axis=0)
+            x, y = middles[number].mean(axis=0)
         headings = {math.atan2(round(y, 9) + 0.0, round(x, 9) + 0.0)}
         if masks is not None:
             tested = range(64)
@@ -291,10 +290,11 @@ def test_bases_stand_where_brute_force_over_all_cells_and_headings_finds_that_th
     text, heights = random_map(seed)
     level = make_level(text, heights if seed % 3 else None, inset=0.03 * (seed % 2))
     finder = PathFinder(level)
+    masks = None if footprint is None else level.inflate_footprint(footprint, 64)[0]
     rules = {"footprint": footprint, "facing": facing, "sight": sight}
     for name in ("cup_1", "box", "rug", "wall"):
         reach = ((0.0, 0.45), (0.12, 0.3), (0.2, 0.5))[(seed + len(name)) % 3]
-        expected = find_by_brute_force(level, name, reach, footprint, facing, sight)
+        expected = find_by_brute_force(level, name, reach, masks, facing, sight)
         (region,) = finder.stand_region(f"object:{name}", reach=reach, **rules)
         assert set(map(tuple, np.argwhere(region).tolist())) == expected.keys()
         poses = finder.stand_poses(f"object:{name}", reach=reach, count=999, spread=0, **rules)
@@ -325,18 +325,23 @@ def test_a_shoulder_reaches_in_space_what_brute_force_over_points_of_the_box_fin
         # the things' squares as points in space, 11 along each edge, over the height of their box
         x_low, y_low, z_low, x_high, y_high, z_high = level.metadata["navbake"]["boxes"][name]
         steps = np.linspace(0.0, CELL, 11)
-        points = []
+        z = np.linspace(z_low, z_high, 21)
+        squares = []
         for cell, entry in level.user_data.items():
             if name in list_names(entry):
                 row, col = divmod(cell, level.width)
                 x = np.clip(col * CELL + steps, x_low, x_high)
                 y = np.clip((level.height - 1 - row) * CELL + steps, y_low, y_high)
-                z = np.linspace(z_low, z_high, 21)
-                points.append(np.stack(np.meshgrid(x, y, z), axis=-1).reshape(-1, 3))
-        points = np.concatenate(points)
+                squares.append((x, y, z))
         for position, distance in zip(poses.positions, poses.distances, strict=True):
             shoulder = position + np.array([0.0, 0.0, height])
-            nearest = np.linalg.norm(points - shoulder, axis=1).min()
+            # the nearest point of a square has the nearest x, the nearest y and the nearest z
+            nearest = min(
+                math.hypot(
+                    *(np.abs(axis - at).min() for axis, at in zip(square, shoulder, strict=True))
+                )
+                for square in squares
+            )
             assert distance <= nearest + 1e-9 and nearest - distance < 0.02
             assert reach[0] - 1e-9 <= nearest <= reach[1] + 1e-9
 
@@ -349,11 +354,11 @@ def test_a_pose_reaches_where_brute_force_finds_it_and_faces_the_target(seed, fo
     finder = PathFinder(level)
     rng = np.random.default_rng(seed)
     facing = None if tolerance is None else "target"
-    expected = find_by_brute_force(level, "box", (0.0, 0.5), footprint, facing, True)
+    masks = None if footprint is None else level.inflate_footprint(footprint, 64)[0]
+    expected = find_by_brute_force(level, "box", (0.0, 0.5), masks, facing, True)
     sides = np.array([level.width, level.height]) * CELL
     positions = np.column_stack([rng.uniform(-0.1, sides + 0.1, (800, 2)), np.zeros(800)])
     headings = rng.uniform(-7.0, 7.0, 800)
-    masks = None if footprint is None else level.inflate_footprint(footprint, 64)[0]
     reaches = finder.can_reach(
         "object:box",
         positions.reshape(20, 40, 3),

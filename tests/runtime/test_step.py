@@ -154,14 +154,14 @@ def plain_neighbours(flat, cell):
 def way_between(flat, start, goal, length):
     """Whether a walk over edges leads there within a window that the step can reach."""
     seen, queue = {start}, [start]
-    origin = flat.positions(np.array(start))[:2]
+    places = flat.positions(np.arange(flat.num_cells))[:, :2]
+    is_near = np.linalg.norm(places - places[start], axis=1) <= 2 * length + 0.5
     while queue:
         cell = queue.pop()
         if cell == goal:
             return True
         for other in plain_neighbours(flat, cell).values():
-            near = math.dist(flat.positions(np.array(other))[:2], origin) <= 2 * length + 0.5
-            if other not in seen and near:
+            if other not in seen and is_near[other]:
                 seen.add(other)
                 queue.append(other)
     return False
