@@ -1,6 +1,7 @@
 """Holds paths, fields, islands and reasons of one random building against its plain graph."""
 
 import re
+from functools import cache, partial
 from itertools import pairwise
 
 import numpy as np
@@ -40,8 +41,10 @@ def check_plans(seed, counts, pairs=6):
             for by, graph in graphs.items():
                 faults += _check_path(finder, graph, (start, goal), by, name, counts)
         anywhere = np.flatnonzero(standing)
+        find_open_graph = cache(partial(plan_graph, finder.grid, name, all_open=True))
         for start, goal in [(rng.choice(free), rng.choice(anywhere)) for _ in range(pairs)]:
-            faults += _check_reason(finder, graphs["cost"], (start, goal), name, counts)
+            graph = graphs["cost"]
+            faults += _check_reason(finder, graph, find_open_graph, (start, goal), name, counts)
     return faults
 
 
@@ -78,7 +81,7 @@ def _check_path(finder, graph, ends, by, name, counts):
     return faults
 
 
-def _check_reason(finder, graph, ends, name, counts):
+def _check_reason(finder, graph, find_open_graph, ends, name, counts):
     start, goal = (int(end) for end in ends)
     flat, grid, what = (
         finder.search.flat,
@@ -92,7 +95,7 @@ def _check_reason(finder, graph, ends, name, counts):
         return [f"{what}: {reason!r}"] if (reason is None) != reached[goal] else []
     counts["reasons"] += 1
     own, radius = grid.navbake, AGENTS.get(name, {}).get("radius", 0.0)
-    everything = plan_graph(grid, name, all_open=True)
+    everything = find_open_graph()
     to_goal = np.isfinite(dijkstra(everything.T, indices=goal))
     area = np.concatenate([level.attributes["area"].ravel() for level in grid.levels])
     if not flat.free[goal]:

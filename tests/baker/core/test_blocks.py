@@ -1,5 +1,7 @@
 """Blocks of cells, and of rows: however large these are, a bake gives the same bytes."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import trimesh
@@ -113,13 +115,17 @@ def bake_bytes(config) -> bytes:
     return dumps_navgrid(grid)
 
 
+@cache
+def sample_in_one_block(name) -> bytes:
+    return bake_bytes(load_config(CONFIGS / f"{name}.yaml"))
+
+
 @pytest.mark.parametrize("cells", [1, 3000, 20_000])
 @pytest.mark.parametrize("name", SAMPLES)
 def test_samples_in_blocks(monkeypatch, name, cells):
-    config = load_config(CONFIGS / f"{name}.yaml")
-    expected = bake_bytes(config)
+    expected = sample_in_one_block(name)
     in_blocks(monkeypatch, cells)
-    assert bake_bytes(config) == expected
+    assert bake_bytes(load_config(CONFIGS / f"{name}.yaml")) == expected
 
 
 # a hall with what most rules are about: a storey on a stair, a mesh, posts, a roof, a door, a bed
