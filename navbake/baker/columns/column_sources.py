@@ -239,8 +239,7 @@ class ColumnCaster:
         self._crack = max_crack_distance
         self._clock = clock
         self._all_columns: Columns | None = None
-        self._last_cells: Int = np.empty(0, dtype=np.int64)  # of the last call of `columns_at`
-        self._last_columns: Columns | None = None
+        self._forget_columns()
         with clock.stage("columns"):
             if self.lattice.width * self.lattice.height <= MAX_CELLS_IN_MEMORY:
                 self._all_columns = self._cast_all()
@@ -257,6 +256,8 @@ class ColumnCaster:
             else:
                 yield self._all_columns
             return
+        # a pass over all rows begins another stage, which asks for columns of other cells
+        self._forget_columns()
         chunks = self._shapes.row_chunks(CHUNKS_IN_MEMORY)
         next_columns = run_beside(self._cast_rows, chunks[0])
         for rows in [*chunks[1:], None]:
@@ -266,6 +267,11 @@ class ColumnCaster:
             # popped, so that no reference is held here while the caller works on it
             yield chunk_columns.pop()
         give_back_memory()  # memory that is freed between arrays in use stays reserved
+
+    def _forget_columns(self) -> None:
+        """Forget the columns of the last call of `columns_at`."""
+        self._last_cells: Int = np.empty(0, dtype=np.int64)
+        self._last_columns: Columns | None = None
 
     def _wait(self, next_columns: Callable[[], Columns]) -> Columns:
         """Wait for columns that another thread casts, and add the time to the clock's stage."""
@@ -288,6 +294,7 @@ class ColumnCaster:
         ascending_cells = unique_cells(self.lattice, cells)
         with self._clock.add_to_stage("columns"):
             columns = cast_cells(self._shapes, self._agent, self._crack, ascending_cells)
+            give_back_memory()
         self._last_cells = ascending_cells
         self._last_columns = columns
         return columns

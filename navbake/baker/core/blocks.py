@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.core.tiles import BLOCK
 from navbake.navgrid.lattice import Lattice
+from navbake.processes import give_back_memory
 from navbake.threads import LEAST_CELLS, run_in_chunks
 from navbake.types import Bool, Int
 
@@ -164,7 +165,9 @@ def join_arrays(chunks: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
     """
     if len(chunks) == 1:
         return chunks[0]
-    return [np.concatenate([chunk.pop(0) for chunk in chunks]) for _ in range(len(chunks[0]))]
+    arrays = [np.concatenate([chunk.pop(0) for chunk in chunks]) for _ in range(len(chunks[0]))]
+    give_back_memory()  # memory that is freed between arrays in use stays reserved
+    return arrays
 
 
 def replace_slices(

@@ -12,9 +12,14 @@ import numpy as np
 
 from navbake.baker.core.blocks import LEAST_BLOCKS, Blocks, list_rows
 from navbake.baker.floors import growth_kernels as kernels
-from navbake.baker.floors.growth_kernels import NO_FLOOR, GrowthState
+from navbake.baker.floors.growth_kernels import (
+    BARRIER,
+    NO_FLOOR,
+    NO_LEVEL,
+    GrowingSurfaces,
+    GrowthState,
+)
 from navbake.baker.floors.level_assignment import LevelAssignment
-from navbake.baker.floors.region_kernels import LabelledSurfaces
 from navbake.baker.floors.regions import Regions
 from navbake.baker.floors.surfaces import may_slopes_join
 from navbake.config.settings import AgentSettings
@@ -39,63 +44,60 @@ class GrownFloor(NamedTuple):
     ring_of_cell: Int32
 
 
-def grow_floors(
-    regions: Regions, assignment: LevelAssignment, is_growth_barrier: Bool, agent: AgentSettings
-) -> list[GrownFloor]:
-    """Find the floors of all levels, and how far they continue under tables, beds and other things.
+def select_growing_surfaces(
+    regions: Regions, assignment: LevelAssignment, is_growth_barrier: Bool
+) -> GrowingSurfaces:
+    """Select what the growth of floors depends on.
 
     Args:
         regions: all regions.
         assignment: the level of each surface.
         is_growth_barrier: the regions whose surfaces floors don't grow onto, such as roofs and tops
             of furniture, shape (regions,), bool.
-        agent: the agent, of which the height and step are used.
-
-    Returns:
-        The floors, the lowest level first.
     """
-    return grow_levels(
-        regions.label_surfaces(is_growth_barrier),
-        preliminary_level=assignment.preliminary_level,
-        final_level=assignment.final_level,
-        num_levels=len(assignment.grounds),
-        agent=agent,
+    surfaces = regions.surfaces
+    component_of_surface = regions.components.component_of_surface
+    # the last entry of each table is for surfaces of no component, and for those on no level
+    is_barrier_component = np.append(is_growth_barrier[regions.region_of_component], False)
+    level_of_number = np.append(assignment.final_level, NO_LEVEL).astype(np.int16)
+    level_of_surface = np.empty(len(surfaces.z), dtype=np.int16)
+
+    def write_levels(begin: int, end: int) -> None:
+        level = level_of_number[np.maximum(assignment.preliminary_level[begin:end], -1)]
+        is_barrier = is_barrier_component[component_of_surface[begin:end]]
+        level[is_barrier & (level == NO_LEVEL)] = BARRIER
+        level_of_surface[begin:end] = level
+
+    run_in_chunks(write_levels, len(surfaces.z), min_chunk_size=LEAST_CELLS)
+    return GrowingSurfaces(
+        surfaces.lattice, surfaces.first, surfaces.end, surfaces.z, level_of_surface
     )
 
 
 def grow_levels(
-    labelled_surfaces: LabelledSurfaces,
-    preliminary_level: Int32,
-    final_level: Int,
-    num_levels: int,
-    agent: AgentSettings,
+    surfaces: GrowingSurfaces, num_levels: int, agent: AgentSettings
 ) -> list[GrownFloor]:
     """Find the floors of all levels: where an agent can stand, and where they lie under things.
 
+    Floors continue under tables, beds and other things.
+
     Args:
-        labelled_surfaces: all surfaces; those of the labelled regions are surfaces that floors
-            don't grow onto.
-        preliminary_level: the preliminary number of each surface's level, negative for none.
-            Preliminary numbers also count levels that have no surface in the end.
-        final_level: the level's final number for each preliminary number.
+        surfaces: all surfaces, with their levels.
         num_levels: how many levels there are.
         agent: the agent, of which the height and step are used.
 
     Returns:
         The floors, the lowest level first.
     """
-    surfaces = labelled_surfaces.surfaces
     num_cells = surfaces.lattice.width * surfaces.lattice.height
-    highest_level_below = np.empty(len(surfaces.z), dtype=np.int32)
-    lowest_level_above = np.empty(len(surfaces.z), dtype=np.int32)
+    highest_level_below = np.empty(len(surfaces.z), dtype=np.int16)
+    lowest_level_above = np.empty(len(surfaces.z), dtype=np.int16)
     floor_heights = np.full((num_levels, num_cells), np.nan)
     ring_of_cells = np.full((num_levels, num_cells), NO_FLOOR, dtype=np.int32)
     run_in_chunks(
         kernels.start_floors,
         num_cells,
         surfaces,
-        preliminary_level,
-        final_level,
         highest_level_below,
         lowest_level_above,
         floor_heights,
@@ -107,8 +109,6 @@ def grow_levels(
     for level_number in range(num_levels):
         growth_state = GrowthState(
             surfaces=surfaces,
-            preliminary_level=preliminary_level,
-            final_level=final_level,
             highest_level_below=highest_level_below,
             lowest_level_above=lowest_level_above,
             level_number=level_number,
@@ -119,22 +119,21 @@ def grow_levels(
             can_grow=can_grow,
         )
         if growth_state.ring_of_cell.any():  # some cells have no floor yet
-            _grow_level(labelled_surfaces, growth_state)
+            _grow_level(growth_state)
         floors.append(GrownFloor(growth_state.floor_height, growth_state.ring_of_cell))
     return floors
 
 
-def _grow_level(labelled_surfaces: LabelledSurfaces, growth_state: GrowthState) -> None:
+def _grow_level(growth_state: GrowthState) -> None:
     """Let the floor of one level continue under things, from where an agent can stand.
 
     Args:
-        labelled_surfaces: see `grow_levels`.
         growth_state: the level, with its floor where an agent can stand; its `floor_height`,
             `ring_of_cell` and `can_grow` are written.
     """
     blocks = Blocks(growth_state.surfaces.lattice)
     _, (open_cells,) = blocks.list_rows(
-        kernels.start_growth, (NO_CELLS,), labelled_surfaces, growth_state, least=LEAST_BLOCKS
+        kernels.start_growth, (NO_CELLS,), growth_state, least=LEAST_BLOCKS
     )
     cells_to_grow = open_cells
     ring_number = 1

@@ -5,8 +5,10 @@ search reaches at the same time are a ring. The floor that grows into a cell dep
 surfaces, and on the floors that its neighbors got in earlier rings.
 """
 
+from __future__ import annotations
+
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +16,18 @@ from numpy.typing import NDArray
 from navbake.baker.core.bisection_kernels import find_first_above, find_first_at_or_above
 from navbake.baker.core.tiles import block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
-from navbake.baker.floors.region_kernels import region_of_surface
-from navbake.baker.floors.surface_kernels import Surfaces, are_joined_by_slopes
+from navbake.baker.floors.surface_kernels import are_joined_by_slopes
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
-from navbake.types import Float, Int, Int32
+from navbake.types import Float, Int32
 
+if TYPE_CHECKING:  # kernels depend on kernels alone
+    from navbake.navgrid.lattice import Lattice
+
+# Values of `GrowingSurfaces.level` for surfaces that are on no level
+NO_LEVEL = -1  # floors may grow at the surface
+BARRIER = -2  # floors don't grow onto the surface, as it is a roof or the top of furniture
 # Value of `GrowthState.lowest_level_above`: more than all numbers of levels
-NO_LEVEL_ABOVE = np.int32(2**31 - 1)
+NO_LEVEL_ABOVE = np.int16(2**15 - 1)
 # Values of `GrowthState.can_grow`
 CANNOT_GROW = 0  # the floor can't grow at the surface
 CAN_GROW = 1  # the floor can grow at the surface
@@ -32,19 +39,37 @@ NO_FLOOR = -1  # the cell has no floor
 OPEN_CELL = -2
 
 
+class GrowingSurfaces(NamedTuple):
+    """The surfaces that floors may consist of, with what their growth depends on.
+
+    There may be many million of them, so there is nothing else here, and levels are int16.
+
+    Attributes:
+        lattice: the `Lattice` of the cells.
+        first: the id of the lowest surface of each cell, shape (cells,), int32.
+        end: the id past the highest surface of each cell, shape (cells,), int32.
+        z: heights, ascending in a cell, shape (n,), float64 [m].
+        level: the number of each surface's level; NO_LEVEL or BARRIER if it is on none, shape (n,),
+            int16.
+    """
+
+    lattice: Lattice
+    first: Int32
+    end: Int32
+    z: Float
+    level: NDArray[np.int16]
+
+
 class GrowthState(NamedTuple):
     """The growing floor of a level, and the data that its growth depends on.
 
     Attributes:
         surfaces: all surfaces that floors may consist of.
-        preliminary_level: the preliminary number of each surface's level, negative for none, int32.
-        final_level: for each preliminary number, the level's number when levels without surfaces
-            are left out, int64.
-        highest_level_below: for each surface, the highest final number of the levels of it and of
-            the lower surfaces in its cell, -1 if these have no level, int32; see `start_floors`.
-        lowest_level_above: for each surface, the lowest final number of the levels of it and of the
-            higher surfaces in its cell, NO_LEVEL_ABOVE if these have no level, int32.
-        level_number: the final number of the level whose floor grows.
+        highest_level_below: for each surface, the highest number of the levels of it and of the
+            lower surfaces in its cell, -1 if these have no level, int16; see `start_floors`.
+        lowest_level_above: for each surface, the lowest number of the levels of it and of the
+            higher surfaces in its cell, NO_LEVEL_ABOVE if these have no level, int16.
+        level_number: the number of the level whose floor grows.
         agent_height: the agent's height [m].
         max_step: the highest step [m].
         floor_height: the height of the floor in each cell, float64 [m]; NaN where there is none.
@@ -56,11 +81,9 @@ class GrowthState(NamedTuple):
             below and above, in cells in which no agent can stand.
     """
 
-    surfaces: Surfaces
-    preliminary_level: Int32
-    final_level: Int
-    highest_level_below: Int32
-    lowest_level_above: Int32
+    surfaces: GrowingSurfaces
+    highest_level_below: NDArray[np.int16]
+    lowest_level_above: NDArray[np.int16]
     level_number: int
     agent_height: float
     max_step: float
@@ -70,22 +93,21 @@ class GrowthState(NamedTuple):
 
 
 @subkernel(inline="always")
-def _can_grow_at(labelled_surfaces, growth_state, end_in_cell, surface, lowest_z, highest_z):
+def _can_grow_at(growth_state, end_in_cell, surface, lowest_z, highest_z):
     """Return whether the floor may grow at a surface of a cell, by the rule of `start_growth`.
 
     `end_in_cell` is the id past the cell's highest surface. The floor has to lie between the
     heights `lowest_z` and `highest_z` [m].
     """
     z = growth_state.surfaces.z
-    if growth_state.preliminary_level[surface] >= 0 or not lowest_z <= z[surface] <= highest_z:
-        return False
-    if region_of_surface(labelled_surfaces, surface) >= 0:
+    level = growth_state.surfaces.level
+    if level[surface] != NO_LEVEL or not lowest_z <= z[surface] <= highest_z:
         return False
     for i in range(surface + 1, end_in_cell):
         if z[i] - z[surface] > growth_state.max_step + LIMIT_SLACK:
             break
         # an agent would walk on the surface above, as on a roof in which a wall's top is hidden
-        if growth_state.preliminary_level[i] < 0 and region_of_surface(labelled_surfaces, i) >= 0:
+        if level[i] == BARRIER:
             return False
     return True
 
@@ -93,8 +115,6 @@ def _can_grow_at(labelled_surfaces, growth_state, end_in_cell, surface, lowest_z
 @kernel(nogil=True, **NO_REFCOUNT)
 def start_floors(
     surfaces,
-    preliminary_level,
-    final_level,
     highest_level_below,
     lowest_level_above,
     floor_heights,
@@ -109,9 +129,7 @@ def start_floors(
     so they can be bisected for the surfaces near a level.
 
     Args:
-        surfaces: the surfaces of all cells, as `Surfaces`.
-        preliminary_level: the preliminary number of each surface's level, negative for none, int32.
-        final_level: the final number of the level for each preliminary number, int64.
+        surfaces: the `GrowingSurfaces` of all cells.
         highest_level_below: receives the bound below each surface, see `GrowthState`.
         lowest_level_above: receives the bound above each surface, see `GrowthState`.
         floor_heights: receives the height of each level's floor where an agent can stand, (levels,
@@ -123,38 +141,37 @@ def start_floors(
     for cell in range(begin, end):
         first_in_cell = surfaces.first[cell]
         end_in_cell = surfaces.end[cell]
-        highest_level = np.int32(-1)
+        highest_level = np.int16(-1)
         for j in range(first_in_cell, end_in_cell):
-            if preliminary_level[j] >= 0:
-                level = final_level[preliminary_level[j]]
+            level = surfaces.level[j]
+            if level >= 0:
                 floor_heights[level, cell] = surfaces.z[j]
                 ring_of_cells[level, cell] = 0
-                highest_level = max(highest_level, np.int32(level))
+                highest_level = max(highest_level, level)
             highest_level_below[j] = highest_level
         lowest_level = NO_LEVEL_ABOVE
         for j in range(end_in_cell - 1, first_in_cell - 1, -1):
-            if preliminary_level[j] >= 0:
-                lowest_level = min(lowest_level, np.int32(final_level[preliminary_level[j]]))
+            level = surfaces.level[j]
+            if level >= 0:
+                lowest_level = min(lowest_level, level)
             lowest_level_above[j] = lowest_level
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
-def start_growth(labelled_surfaces, growth_state, blocks, row_counts, row_arrays, begin, end):
+def start_growth(growth_state, blocks, row_counts, row_arrays, begin, end):
     """List the cells without a floor of a level into which it may grow.
 
     The first ring of growth may reach the listed cells. This is done for the cells of
-    ``blocks[begin:end]``. A labelled region is one that the floor doesn't grow onto, such as a roof
-    or the top of furniture. A floor can grow at a surface if
+    ``blocks[begin:end]``. A floor can grow at a surface if
 
-    - the surface is on no level and belongs to no labelled region;
-    - no surface of a labelled region lies above it by a step or less (one on a level may);
+    - the surface is on no level and is no barrier;
+    - no barrier lies above it by a step or less (a surface on a level may);
     - it lies at least the agent's height above the surfaces of lower levels in its cell, and below
       those of higher levels.
 
     A kernel for `navbake.baker.core.blocks.list_rows`; each row of its list is a cell.
 
     Args:
-        labelled_surfaces: a `LabelledSurfaces` with the regions that the floor doesn't grow onto.
         growth_state: a `GrowthState`, whose `ring_of_cell` and `can_grow` are written.
         blocks: ids of blocks of cells.
         row_counts: receives how many cells are listed for each block.
@@ -208,9 +225,7 @@ def start_growth(labelled_surfaces, growth_state, blocks, row_counts, row_arrays
                     if surfaces.z[j] > highest_z:
                         break
                     can_grow[j] = CANNOT_GROW
-                    if _can_grow_at(
-                        labelled_surfaces, growth_state, end_in_cell, j, lowest_z, highest_z
-                    ):
+                    if _can_grow_at(growth_state, end_in_cell, j, lowest_z, highest_z):
                         can_grow[j] = CAN_GROW
                         if highest_growable_surface < 0:
                             ring_of_cell[cell] = OPEN_CELL - j

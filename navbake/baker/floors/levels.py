@@ -16,7 +16,11 @@ from navbake.baker.columns.columns import ColumnSource
 from navbake.baker.core.components import label_components_2d
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.core.windows import Window, crop_cells
-from navbake.baker.floors.growth import GrownFloor, find_listed_steps, grow_floors
+from navbake.baker.floors.growth import (
+    find_listed_steps,
+    grow_levels,
+    select_growing_surfaces,
+)
 from navbake.baker.floors.level_assignment import (
     LevelAssignment,
     assign_levels,
@@ -38,6 +42,7 @@ from navbake.baker.floors.reach import (
 )
 from navbake.baker.floors.regions import (
     Patch,
+    Regions,
     describe_regions,
     find_large_regions,
     find_large_remaining_regions,
@@ -51,7 +56,6 @@ from navbake.baker.floors.surfaces import find_surfaces
 from navbake.baker.geometry.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
-from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int
 
 
@@ -122,9 +126,8 @@ def find_floors(
 ) -> Floors:
     """Find the levels of a scene, the floor of each, and the steps between them.
 
-    The stages: find the standable surfaces; connect them to regions; drop ridges, and connect the
-    rest again; keep the large regions; drop tops, shelves and roofs; assign the rest to levels;
-    drop what is not reached or is a void; let floors grow under things; list the steps.
+    The stages: find the regions that are floors, and their levels, see `_find_floor_regions`; let
+    floors grow under things.
 
     Args:
         columns: the hits of all columns.
@@ -140,6 +143,62 @@ def find_floors(
     Raises:
         SceneError: there is no floor at all, none on a level of the configuration, or none at a
             position of `floors.from`.
+    """
+    floor_regions = _find_floor_regions(
+        columns, shapes, agent, settings, level_settings, is_occupied
+    )
+    assignment = floor_regions.assignment
+    floors = floor_regions.floors
+    growing_surfaces = select_growing_surfaces(
+        floor_regions.regions, assignment, floor_regions.is_growth_barrier
+    )
+    names = assignment.names
+    grounds = assignment.grounds
+    # growth needs neither regions nor geoms: their memory is free for it
+    del floor_regions, assignment
+    grown_floors = grow_levels(growing_surfaces, len(grounds), agent)
+    levels = []
+    for name, ground, grown_floor in zip(names, grounds, grown_floors, strict=True):
+        floor_height = grown_floor.height.reshape(columns.lattice.shape)
+        is_standable = (grown_floor.ring_of_cell == 0).reshape(columns.lattice.shape)
+        level = LevelFloor(name, ground, floor_height, is_standable)
+        if settings.fill:
+            level = fill_holes(level, settings.fill / columns.lattice.cell_size**2, is_occupied)
+        levels.append(level)
+    return replace(floors, levels=levels)
+
+
+class FloorRegions(NamedTuple):
+    """The regions that are floors, and the levels that they are on.
+
+    Attributes:
+        regions: all regions.
+        is_growth_barrier: the regions whose surfaces floors don't grow onto, such as roofs and tops
+            of furniture, shape (regions,), bool.
+        assignment: the levels, and the level of each surface.
+        floors: all else that `find_floors` finds; its `levels` are empty.
+    """
+
+    regions: Regions
+    is_growth_barrier: Bool
+    assignment: LevelAssignment
+    floors: Floors
+
+
+def _find_floor_regions(
+    columns: ColumnSource,
+    shapes: Shapes,
+    agent: AgentSettings,
+    settings: FloorSettings,
+    level_settings: Sequence[LevelSettings] | None,
+    is_occupied: OccupancyTest,
+) -> FloorRegions:
+    """Find the regions that are floors, their levels, and the steps between levels.
+
+    The stages: find the standable surfaces; connect them to regions; drop ridges, and connect the
+    rest again; keep the large regions; drop tops, shelves and roofs; assign the rest to levels;
+    drop what is not reached or is a void; list the steps. The arguments and errors are those of
+    `find_floors`.
     """
     lattice = columns.lattice
     surfaces = find_surfaces(columns, shapes.planes, agent)
@@ -192,14 +251,13 @@ def find_floors(
         )
     reached_levels = find_reached_levels(region_context, is_floor, is_start, level_settings)
     assignment = reached_levels.assignment
-    floors_by_level = grow_floors(regions, assignment, is_large | is_start, agent)
     is_reported_roof = mark_reported_roofs(
         region_context, rejected_regions.is_roof & ~is_start, is_floor
     )
     enclosed_floors = find_enclosed_floors(regions.surfaces, agent, settings)
     plane_geoms = shapes.planes.geom
-    return Floors(
-        levels=_make_level_floors(assignment, floors_by_level, lattice, settings, is_occupied),
+    floors = Floors(
+        levels=[],
         steps=find_listed_steps(regions, assignment, agent),
         tops=describe_regions(regions, is_furniture & ~is_start),
         roofs=describe_regions(regions, is_reported_roof),
@@ -211,6 +269,7 @@ def find_floors(
         voids=reached_levels.voids,
         surfaces_without_level=assignment.surfaces_without_level,
     )
+    return FloorRegions(regions, is_large | is_start, assignment, floors)
 
 
 class ReachedLevels(NamedTuple):
@@ -300,27 +359,6 @@ def find_reached_levels(
     else:
         voids = describe_regions(regions, reached_regions.is_void)
     return ReachedLevels(assignment, reached_regions.is_reached, removed_floors, voids)
-
-
-def _make_level_floors(
-    assignment: LevelAssignment,
-    floors_by_level: list[GrownFloor],
-    lattice: Lattice,
-    settings: FloorSettings,
-    is_occupied: OccupancyTest,
-) -> list[LevelFloor]:
-    """Make the `LevelFloor` of each level, lowest first; `floors.fill` closes its holes."""
-    levels = []
-    for name, ground, floor in zip(
-        assignment.names, assignment.grounds, floors_by_level, strict=True
-    ):
-        floor_height = floor.height.reshape(lattice.shape)
-        is_standable = (floor.ring_of_cell == 0).reshape(lattice.shape)
-        level = LevelFloor(name, ground, floor_height, is_standable)
-        if settings.fill:
-            level = fill_holes(level, settings.fill / lattice.cell_size**2, is_occupied)
-        levels.append(level)
-    return levels
 
 
 def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) -> LevelFloor:

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors import growth
 from navbake.baker.floors.growth import grow_levels
-from navbake.baker.floors.region_kernels import LabelledSurfaces
-from navbake.baker.floors.surface_kernels import Surfaces
+from navbake.baker.floors.growth_kernels import NO_LEVEL, GrowingSurfaces
 from navbake.config.settings import AgentSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import LEAST_CELLS, limit_threads
@@ -69,23 +68,15 @@ def grow(floor, options):
     end = np.cumsum([len(column) for column in heights])
     first = end - np.array([len(column) for column in heights])
     z = np.concatenate(heights)
-    none = np.full(len(z), -1, dtype=np.int32)
-    surfaces = Surfaces(
+    surfaces = GrowingSurfaces(
         lattice=LATTICE,
         first=first.astype(np.int32),
         end=end.astype(np.int32),
         z=z,
-        geom=none,
-        flags=np.zeros(len(z), dtype=np.uint8),
-        normal=np.empty((len(z), 0), dtype=np.float32),
+        level=np.repeat(np.where(stands, 0, NO_LEVEL), end - first).astype(np.int16),
     )
-    (floor_of_level,) = grow_levels(
-        labelled_surfaces=LabelledSurfaces(surfaces, none, none[:0], z[:0], z[:0]),
-        preliminary_level=np.repeat(stands.astype(np.int32) - 1, end - first).astype(np.int32),
-        final_level=np.zeros(1, dtype=np.int64),
-        num_levels=1,
-        agent=AgentSettings(height=1.0, traversable_floor_height=STEP),
-    )
+    agent = AgentSettings(height=1.0, traversable_floor_height=STEP)
+    (floor_of_level,) = grow_levels(surfaces, num_levels=1, agent=agent)
     return floor_of_level
 
 
