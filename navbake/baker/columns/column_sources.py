@@ -239,7 +239,8 @@ class ColumnCaster:
         self._crack = max_crack_distance
         self._clock = clock
         self._all_columns: Columns | None = None
-        self._forget_columns()
+        self._last_cells: Int = np.empty(0, dtype=np.int64)  # of the last call of `columns_at`
+        self._last_columns: Columns | None = None
         with clock.stage("columns"):
             if self.lattice.width * self.lattice.height <= MAX_CELLS_IN_MEMORY:
                 self._all_columns = self._cast_all()
@@ -256,8 +257,6 @@ class ColumnCaster:
             else:
                 yield self._all_columns
             return
-        # a pass over all rows begins another stage, which asks for columns of other cells
-        self._forget_columns()
         chunks = self._shapes.row_chunks(CHUNKS_IN_MEMORY)
         next_columns = run_beside(self._cast_rows, chunks[0])
         for rows in [*chunks[1:], None]:
@@ -267,11 +266,6 @@ class ColumnCaster:
             # popped, so that no reference is held here while the caller works on it
             yield chunk_columns.pop()
         give_back_memory()  # memory that is freed between arrays in use stays reserved
-
-    def _forget_columns(self) -> None:
-        """Forget the columns of the last call of `columns_at`."""
-        self._last_cells: Int = np.empty(0, dtype=np.int64)
-        self._last_columns: Columns | None = None
 
     def _wait(self, next_columns: Callable[[], Columns]) -> Columns:
         """Wait for columns that another thread casts, and add the time to the clock's stage."""
@@ -298,6 +292,11 @@ class ColumnCaster:
         self._last_cells = ascending_cells
         self._last_columns = columns
         return columns
+
+    def forget_columns(self) -> None:
+        """Forget the columns of the last call of `columns_at`; implements `ColumnSource`."""
+        self._last_cells = np.empty(0, dtype=np.int64)
+        self._last_columns = None
 
     def _cast_rows(self, rows: RowChunk) -> Columns:
         """Cast the columns of a chunk of rows."""
@@ -377,6 +376,10 @@ class WindowColumns(NamedTuple):
         source_cells = self.to_source_cells(window_cells)
         hits = select_columns(self.source.columns_at(source_cells).hits, source_cells)
         return index_by_cell(self.lattice, window_cells, hits)
+
+    def forget_columns(self) -> None:
+        """Forget the columns of single cells; implements `ColumnSource`."""
+        self.source.forget_columns()
 
     def to_source_cells(self, cells: Int) -> Int:
         """Turn ids of cells in the window into ids in the lattice of the source."""

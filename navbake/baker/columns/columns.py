@@ -222,6 +222,9 @@ class Columns:
         """Return all columns, which are valid for all cells; implements `ColumnSource`."""
         return self
 
+    def forget_columns(self) -> None:
+        """Do nothing, as all columns are kept; implements `ColumnSource`."""
+
 
 class ColumnSource(Protocol):
     """Protocol of objects that provide the columns of a lattice: all at once, or chunk by chunk."""
@@ -242,6 +245,9 @@ class ColumnSource(Protocol):
         Returns:
             Columns of the whole lattice. Those of `cells` are valid; all others may be invalid.
         """
+
+    def forget_columns(self) -> None:
+        """Forget the columns that `columns_at` keeps for its next calls, if it keeps any."""
 
 
 class ShapeSource(Protocol):

@@ -56,7 +56,7 @@ from navbake.baker.floors.surfaces import find_surfaces
 from navbake.baker.geometry.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, Int32
 
 
 @dataclass(frozen=True)
@@ -126,8 +126,8 @@ def find_floors(
 ) -> Floors:
     """Find the levels of a scene, the floor of each, and the steps between them.
 
-    The stages: find the regions that are floors, and their levels, see `_find_floor_regions`; let
-    floors grow under things.
+    The stages: find regions, and which of them are floors; assign the floors to levels; let floors
+    grow under things.
 
     Args:
         columns: the hits of all columns.
@@ -144,18 +144,22 @@ def find_floors(
         SceneError: there is no floor at all, none on a level of the configuration, or none at a
             position of `floors.from`.
     """
-    floor_regions = _find_floor_regions(
-        columns, shapes, agent, settings, level_settings, is_occupied
+    classified_regions = _classify_regions(
+        columns, shapes, agent, settings, level_settings or (), is_occupied
     )
-    assignment = floor_regions.assignment
-    floors = floor_regions.floors
+    columns.forget_columns()  # levels depend on regions, and hardly on columns
+    assigned_floors = _assign_floors(
+        classified_regions, columns, shapes.planes.geom, agent, settings, level_settings
+    )
+    assignment = assigned_floors.assignment
+    floors = assigned_floors.floors
     growing_surfaces = select_growing_surfaces(
-        floor_regions.regions, assignment, floor_regions.is_growth_barrier
+        classified_regions.regions, assignment, classified_regions.is_growth_barrier
     )
     names = assignment.names
     grounds = assignment.grounds
     # growth needs neither regions nor geoms: their memory is free for it
-    del floor_regions, assignment
+    del classified_regions, assigned_floors, assignment
     grown_floors = grow_levels(growing_surfaces, len(grounds), agent)
     levels = []
     for name, ground, grown_floor in zip(names, grounds, grown_floors, strict=True):
@@ -168,76 +172,67 @@ def find_floors(
     return replace(floors, levels=levels)
 
 
-class FloorRegions(NamedTuple):
-    """The regions that are floors, and the levels that they are on.
+class ClassifiedRegions(NamedTuple):
+    """All regions, and what they are; masks of shape (regions,), bool.
 
     Attributes:
         regions: all regions.
-        is_growth_barrier: the regions whose surfaces floors don't grow onto, such as roofs and tops
-            of furniture, shape (regions,), bool.
-        assignment: the levels, and the level of each surface.
-        floors: all else that `find_floors` finds; its `levels` are empty.
+        is_large: marks the regions that are large enough for floors.
+        is_start: marks the regions on which `floors.from` has agents start.
+        is_floor: marks the regions that are floors.
+        is_furniture: marks the large regions that are tops of things or shelves.
+        is_reported_roof: marks the roofs to report.
     """
 
     regions: Regions
-    is_growth_barrier: Bool
-    assignment: LevelAssignment
-    floors: Floors
+    is_large: Bool
+    is_start: Bool
+    is_floor: Bool
+    is_furniture: Bool
+    is_reported_roof: Bool
+
+    @property
+    def is_growth_barrier(self) -> Bool:
+        """Return which regions floors don't grow onto, such as roofs and tops of furniture."""
+        return self.is_large | self.is_start
 
 
-def _find_floor_regions(
+def _classify_regions(
     columns: ColumnSource,
     shapes: Shapes,
     agent: AgentSettings,
     settings: FloorSettings,
-    level_settings: Sequence[LevelSettings] | None,
+    level_settings: Sequence[LevelSettings],
     is_occupied: OccupancyTest,
-) -> FloorRegions:
-    """Find the regions that are floors, their levels, and the steps between levels.
+) -> ClassifiedRegions:
+    """Find all regions, and which of them are floors.
 
     The stages: find the standable surfaces; connect them to regions; drop ridges, and connect the
-    rest again; keep the large regions; drop tops, shelves and roofs; assign the rest to levels;
-    drop what is not reached or is a void; list the steps. The arguments and errors are those of
-    `find_floors`.
-    """
-    lattice = columns.lattice
-    surfaces = find_surfaces(columns, shapes.planes, agent)
-    is_cropped = mark_cropped_sides(lattice, shapes.bounds)
+    rest again; keep the large regions; drop tops, shelves and roofs. The arguments are those of
+    `find_floors`; `level_settings` is empty where the levels are to be found.
 
-    regions = find_regions(surfaces, agent)
+    Raises:
+        SceneError: there is no floor at all, or none at a position of `floors.from`.
+    """
+    regions = find_regions(find_surfaces(columns, shapes.planes, agent), agent)
     if not regions.num_regions:
-        raise SceneError(_explain_no_floor(columns, surfaces, agent))
+        raise SceneError(_explain_no_floor(columns, regions.surfaces, agent))
     region_context = RegionContext(
         regions=regions,
         is_large=find_large_regions(
             regions, np.ones(regions.num_regions, dtype=np.bool_), settings
         ),
         columns=columns,
-        is_cropped=is_cropped,
+        is_cropped=mark_cropped_sides(columns.lattice, shapes.bounds),
         agent=agent,
         settings=settings,
         is_occupied=is_occupied,
     )
     if not settings.tops:
-        is_ridge = find_ridges(region_context, settings.starts)
-        if is_ridge.any():
-            remaining_regions = remove_from_regions(regions, is_ridge, agent)
-            region_context = replace(
-                region_context,
-                regions=remaining_regions,
-                is_large=find_large_remaining_regions(
-                    remaining_regions, regions, region_context.is_large, is_ridge, settings
-                ),
-            )
-            if not region_context.is_large.any():
-                raise SceneError(
-                    f"no floor: what is large enough is narrower than {RIDGE_WIDTH:g} m between "
-                    f"drops, as tops of walls and beams are; `floors.tops: true` keeps it"
-                )
-    regions = region_context.regions
+        region_context = _remove_ridges(region_context, settings.starts)
     is_large = region_context.is_large
     rejected_regions = find_rejected_regions(
-        region_context, list_level_height_ranges(level_settings or ()), shapes.height_fields
+        region_context, list_level_height_ranges(level_settings), shapes.height_fields
     )
     is_start = find_start_regions(region_context, rejected_regions, settings.starts)
     is_furniture = rejected_regions.is_top | rejected_regions.is_shelf
@@ -249,19 +244,101 @@ def _find_floor_regions(
             f"after shrinking by {settings.shrink:g} m; lower `floors.min_area` or "
             f"`floors.shrink` if it is a floor"
         )
-    reached_levels = find_reached_levels(region_context, is_floor, is_start, level_settings)
-    assignment = reached_levels.assignment
     is_reported_roof = mark_reported_roofs(
         region_context, rejected_regions.is_roof & ~is_start, is_floor
     )
+    return ClassifiedRegions(
+        region_context.regions,
+        is_large=is_large,
+        is_start=is_start,
+        is_floor=is_floor,
+        is_furniture=is_furniture,
+        is_reported_roof=is_reported_roof,
+    )
+
+
+def _remove_ridges(region_context: RegionContext, starts: list[list[float]]) -> RegionContext:
+    """Return the regions without ridges, and which of them are large.
+
+    Args:
+        region_context: all regions.
+        starts: the positions of `floors.from`, whose ridges are kept.
+
+    Raises:
+        SceneError: no large region is left.
+    """
+    is_ridge = find_ridges(region_context, starts)
+    if not is_ridge.any():
+        return region_context
+    remaining_regions = remove_from_regions(region_context.regions, is_ridge, region_context.agent)
+    is_large = find_large_remaining_regions(
+        remaining_regions,
+        region_context.regions,
+        region_context.is_large,
+        is_ridge,
+        region_context.settings,
+    )
+    if not is_large.any():
+        raise SceneError(
+            f"no floor: what is large enough is narrower than {RIDGE_WIDTH:g} m between "
+            f"drops, as tops of walls and beams are; `floors.tops: true` keeps it"
+        )
+    return replace(region_context, regions=remaining_regions, is_large=is_large)
+
+
+class AssignedFloors(NamedTuple):
+    """The levels of the floors.
+
+    Attributes:
+        assignment: the levels, and the level of each surface.
+        floors: all else that `find_floors` finds; its `levels` are empty.
+    """
+
+    assignment: LevelAssignment
+    floors: Floors
+
+
+def _assign_floors(
+    classified_regions: ClassifiedRegions,
+    columns: ColumnSource,
+    plane_geoms: Int32,
+    agent: AgentSettings,
+    settings: FloorSettings,
+    level_settings: Sequence[LevelSettings] | None,
+) -> AssignedFloors:
+    """Assign the floors to levels, drop what is not reached or is a void, and list the steps.
+
+    Args:
+        classified_regions: all regions, and which of them are floors.
+        columns: the hits of all columns.
+        plane_geoms: the ids of the geoms that are infinite planes, shape (n,).
+        agent: the agent that stands and steps on floors.
+        settings: the settings of `floors`.
+        level_settings: the levels of the configuration, lowest first; None to find the levels.
+
+    Raises:
+        SceneError: there is no floor on a level of the configuration, or what the starts reach is
+            on none.
+    """
+    regions = classified_regions.regions
+    is_start = classified_regions.is_start
+    reached_levels = find_reached_levels(
+        regions,
+        columns,
+        is_floor=classified_regions.is_floor,
+        is_start=is_start,
+        level_settings=level_settings,
+        agent=agent,
+        settings=settings,
+    )
+    assignment = reached_levels.assignment
     enclosed_floors = find_enclosed_floors(regions.surfaces, agent, settings)
-    plane_geoms = shapes.planes.geom
     floors = Floors(
         levels=[],
         steps=find_listed_steps(regions, assignment, agent),
-        tops=describe_regions(regions, is_furniture & ~is_start),
-        roofs=describe_regions(regions, is_reported_roof),
-        small_starts=describe_regions(regions, is_start & ~is_large),
+        tops=describe_regions(regions, classified_regions.is_furniture & ~is_start),
+        roofs=describe_regions(regions, classified_regions.is_reported_roof),
+        small_starts=describe_regions(regions, is_start & ~classified_regions.is_large),
         unreached_floors=find_unreached_floors(regions, assignment, reached_levels.is_reached),
         removed_floors=reached_levels.removed_floors,
         enclosed_by_meshes=[patch for patch in enclosed_floors if patch.geom not in plane_geoms],
@@ -269,7 +346,7 @@ def _find_floor_regions(
         voids=reached_levels.voids,
         surfaces_without_level=assignment.surfaces_without_level,
     )
-    return FloorRegions(regions, is_large | is_start, assignment, floors)
+    return AssignedFloors(assignment, floors)
 
 
 class ReachedLevels(NamedTuple):
@@ -290,10 +367,13 @@ class ReachedLevels(NamedTuple):
 
 
 def find_reached_levels(
-    region_context: RegionContext,
+    regions: Regions,
+    columns: ColumnSource,
     is_floor: Bool,
     is_start: Bool,
     level_settings: Sequence[LevelSettings] | None,
+    agent: AgentSettings,
+    settings: FloorSettings,
 ) -> ReachedLevels:
     """Assign floors to levels, and leave out the floors that no agent reaches.
 
@@ -302,19 +382,19 @@ def find_reached_levels(
     upright. They are kept if `floors.voids` is set, or if the configuration has levels.
 
     Args:
-        region_context: all regions, and the hits of all columns.
+        regions: all regions.
+        columns: the hits of all columns.
         is_floor: which regions are floors, shape (regions,), bool.
         is_start: the regions on which `floors.from` has agents start, shape (regions,); if none,
             agents start on the largest floor of the lowest level.
         level_settings: the levels of the configuration, lowest first; None to find the levels.
+        agent: the agent, of which the height, step and slope are used.
+        settings: the settings of `floors`.
 
     Raises:
         SceneError: there is no floor on a level of the configuration, or what the starts reach is
             on none.
     """
-    regions = region_context.regions
-    settings = region_context.settings
-    agent = region_context.agent
     is_reach_required = settings.reach == "steps"
     has_starts = bool(is_start.any())
     reached_regions = ReachedRegions(is_start, np.zeros_like(is_floor))
@@ -329,14 +409,17 @@ def find_reached_levels(
             reached_regions = reached_regions._replace(is_reached=is_reached)
         if level_settings is None and not settings.voids:
             reached_regions = find_voids(
-                region_context, assignment.surface_counts, reached_regions.is_reached, has_starts
+                regions,
+                columns,
+                surface_counts=assignment.surface_counts,
+                is_reached=reached_regions.is_reached,
+                has_starts=has_starts,
+                agent=agent,
             )
     height_ranges = list_level_height_ranges(level_settings or ())
     for level_number, height_range in enumerate(height_ranges):
         if not regions.mark_regions_in_range(is_floor, height_range).any():
-            raise SceneError(
-                _explain_no_floor_on(level_settings or (), level_number, region_context.columns)
-            )
+            raise SceneError(_explain_no_floor_on(level_settings or (), level_number, columns))
     is_included = is_floor & (
         reached_regions.is_reached if is_reach_required else ~reached_regions.is_void
     )

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from navbake.baker.columns.columns import ColumnSource
 from navbake.baker.core.components import expand_ranges
 from navbake.baker.core.tolerances import LIMIT_SLACK, TOUCH_DEPTH
 from navbake.baker.floors.level_assignment import LevelAssignment, RegionLevelCounts
@@ -177,16 +178,19 @@ def mark_largest_on_lowest_level(surface_counts: RegionLevelCounts, num_regions:
     return is_largest_region
 
 
-def count_surfaces_below_headroom(region_context: RegionContext) -> Int:
+def count_surfaces_below_headroom(
+    regions: Regions, columns: ColumnSource, agent: AgentSettings
+) -> Int:
     """Count in each region the surfaces with less headroom than an adult needs, `ADULT_HEADROOM`.
 
     Args:
-        region_context: all regions, and the hits of all columns.
+        regions: all regions.
+        columns: the hits of all columns.
+        agent: the agent, of which the height is used.
 
     Returns:
         How many such surfaces each region has, shape (regions,), int64.
     """
-    regions = region_context.regions
     surfaces = regions.surfaces
     cells = regions.blocks.list_cells(0, regions.lattice.height)
     cell_index, surface_ids = expand_ranges(surfaces.first[cells], surfaces.end[cells])
@@ -199,9 +203,9 @@ def count_surfaces_below_headroom(region_context: RegionContext) -> Int:
         find_blocked_lines,
         len(cell),
         cell,
-        surfaces.z[surface_ids] + region_context.agent.height - TOUCH_DEPTH,
+        surfaces.z[surface_ids] + agent.height - TOUCH_DEPTH,
         surfaces.z[surface_ids] + ADULT_HEADROOM,
-        region_context.columns.columns_at(cell).hits,
+        columns.columns_at(cell).hits,
         is_below_headroom,
         min_chunk_size=MIN_LINES_PER_THREAD,
     )
@@ -224,19 +228,23 @@ class ReachedRegions(NamedTuple):
 
 
 def find_voids(
-    region_context: RegionContext,
+    regions: Regions,
+    columns: ColumnSource,
     surface_counts: RegionLevelCounts,
     is_reached: Bool,
     has_starts: bool,
+    agent: AgentSettings,
 ) -> ReachedRegions:
     """Find the voids: levels that no path leads to and in which nobody can stand upright.
 
     Args:
-        region_context: all regions, and the hits of all columns.
+        regions: all regions.
+        columns: the hits of all columns.
         surface_counts: how many surfaces each region has on each level.
         is_reached: which regions are reached so far, shape (regions,), bool.
         has_starts: whether `floors.from` says where agents start. If not, they start on the largest
             floor of the lowest level in which an adult can stand upright.
+        agent: the agent, of which the height is used.
 
     Returns:
         The regions that agents reach from their starts, and those that are on voids.
@@ -246,12 +254,12 @@ def find_voids(
     # headroom is measured only if some level is not reached at all
     if np.isin(level_numbers, surface_counts.level[is_reached[surface_counts.region]]).all():
         return ReachedRegions(is_reached, is_void)
-    num_with_low_headroom = count_surfaces_below_headroom(region_context)
+    num_with_low_headroom = count_surfaces_below_headroom(regions, columns, agent)
     # the regions on each level, without repeats
-    num_regions = region_context.regions.num_regions
+    num_regions = regions.num_regions
     pair_ids = np.unique(surface_counts.level * num_regions + surface_counts.region)
     level, region = np.divmod(pair_ids, num_regions)
-    num_surfaces_on_level = np.bincount(level, region_context.regions.num_surfaces[region])
+    num_surfaces_on_level = np.bincount(level, regions.num_surfaces[region])
     num_with_low_headroom_on_level = np.bincount(level, num_with_low_headroom[region])
     share_with_low_headroom = (
         num_with_low_headroom_on_level[level_numbers] / num_surfaces_on_level[level_numbers]
