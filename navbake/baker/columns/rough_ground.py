@@ -29,9 +29,10 @@ FOOT_RADIUS = 0.1
 # whose radii are these fractions of the foot's radius
 NUM_DIRECTIONS = 8
 SAMPLED_RADIUS_FRACTIONS = (0.5, 1.0)
-# Four of these points, on the outer circle, decide first whether the ground is clearly too steep:
-# if the plane through them rises more than this many times as much as the agent's steepest slope,
-# the other points are not sampled
+# Of these samples, those on the outer circle east, north, west and south of the line
+AXIS_SAMPLES = slice(-NUM_DIRECTIONS, None, NUM_DIRECTIONS // 4)
+# These four decide first whether the ground is clearly too steep: it is if the plane through them
+# rises more than this many times as much as the agent's steepest slope
 CLEARLY_STEEP_FACTOR = 1.5
 # Bumps are at most this fraction of a step above or below the plane through the ground
 MAX_BUMP_FRACTION = 1.0 / 3.0
@@ -71,9 +72,9 @@ def replace_rough_ground_normals(
     it. The plane may not be steeper than the agent's slope, and each sample has to lie within a
     third of a step of it. Primitives and hulls are smooth, and keep their normals.
 
-    First, four samples, east, north, west and south of the centre, are compared: if the ground
-    between them is much steeper than the agent's slope, the facet keeps its normal, and no plane is
-    fitted.
+    Four of the samples, east, north, west and south of the centre, are compared first: if the
+    ground between them is much steeper than the agent's slope, the facet keeps its normal, and no
+    plane is fitted.
 
     The ground is sampled by vertical rays on circles around the cell's centre, up to `foot_radius`
     away. A ray's sample is the highest surface that faces up and lies at most a step above or below
@@ -95,21 +96,22 @@ def replace_rough_ground_normals(
     if not len(hit_indices):
         return columns
     normal = columns.normal.copy()
-    radius = foot_radius(columns.lattice)
+    sample_offsets = make_sample_offsets(foot_radius(columns.lattice))
 
     def replace_normals(first_facet: int, end_facet: int) -> None:
-        chunk_cells = cell_ids[first_facet:end_facet]
         chunk_hits = hit_indices[first_facet:end_facet]
-        axis_heights = _sample_ground(
-            columns, tiled_shapes, limits, chunk_cells, chunk_hits, circle_offsets(4, radius)
+        sample_heights = _sample_ground(
+            columns,
+            tiled_shapes,
+            limits,
+            cell_ids[first_facet:end_facet],
+            chunk_hits,
+            sample_offsets,
         )
-        is_steep = _mark_clearly_steep(axis_heights, radius, limits)
-        chunk_cells = chunk_cells[~is_steep]
+        is_steep = _mark_clearly_steep(sample_heights, sample_offsets, limits)
         chunk_hits = chunk_hits[~is_steep]
-        if not len(chunk_hits):
-            return
         plane_normal, is_ground = _mark_flat_ground(
-            columns, tiled_shapes, limits, chunk_cells, chunk_hits, axis_heights[~is_steep]
+            columns, limits, chunk_hits, sample_heights[~is_steep], sample_offsets
         )
         normal[chunk_hits[is_ground]] = plane_normal[is_ground]
 
@@ -173,29 +175,36 @@ def _find_steep_facets(
     return cell_ids[~lacks_headroom], hit_indices[~lacks_headroom]
 
 
-def _mark_clearly_steep(axis_heights: Float, radius: float, limits: AgentLimits) -> Bool:
+def _mark_clearly_steep(sample_heights: Float, sample_offsets: Float, limits: AgentLimits) -> Bool:
     """Mark the hits around which the ground rises much more than the agent's slope.
 
     Args:
-        axis_heights: heights of the ground relative to each hit, east, north, west and south of
-            it, NaN for none, (n, 4) [m].
-        radius: how far from the hit these are [m].
+        sample_heights: heights of the ground relative to each hit, NaN for none, (n, samples) [m].
+        sample_offsets: x and y of the samples relative to the hit, (2, samples) [m].
         limits: the agent's limits.
     """
-    east, north, west, south = axis_heights.T
+    east, north, west, south = sample_heights[:, AXIS_SAMPLES].T
+    radius = sample_offsets[0, AXIS_SAMPLES][0]
     slope = np.hypot(east - west, north - south) / (2.0 * radius)  # NaN where a sample is missing
     max_slope = math.sqrt(1.0 / limits.min_normal_z**2 - 1.0)
     is_steep: Bool = slope > CLEARLY_STEEP_FACTOR * max_slope
     return is_steep
 
 
-def circle_offsets(num_directions: int, radius: float) -> Float:
-    """Return x and y of points on a circle around the origin, shape (2, num_directions) [m].
+def make_sample_offsets(radius: float) -> Float:
+    """Return where the ground is sampled: x and y relative to a hit, (2, samples) [m].
 
-    They are spaced evenly, counter-clockwise from x.
+    The samples lie on circles around the hit, the innermost first, and there counter-clockwise
+    from x.
+
+    Args:
+        radius: the radius of the outermost circle [m].
     """
-    angle = np.arange(num_directions) * (2.0 * np.pi / num_directions)
-    return radius * np.stack([np.cos(angle), np.sin(angle)])
+    angle = np.arange(NUM_DIRECTIONS) * (2.0 * np.pi / NUM_DIRECTIONS)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    return np.concatenate(
+        [fraction * radius * circle for fraction in SAMPLED_RADIUS_FRACTIONS], axis=1
+    )
 
 
 class GroundPlanes(NamedTuple):
@@ -215,11 +224,10 @@ class GroundPlanes(NamedTuple):
 
 def _mark_flat_ground(
     columns: Columns,
-    tiled_shapes: TiledShapes,
     limits: AgentLimits,
-    cell_ids: Int,
     hit_indices: Int,
-    axis_heights: Float,
+    sample_heights: Float,
+    sample_offsets: Float,
 ) -> tuple[Float, Bool]:
     """Fit planes to the ground around hits, and mark the planes that are flat enough.
 
@@ -230,43 +238,25 @@ def _mark_flat_ground(
 
     Args:
         columns: the columns.
-        tiled_shapes: the shapes.
         limits: the agent's limits.
-        cell_ids: the cell of each hit, (n,).
         hit_indices: indices of hits, (n,).
-        axis_heights: heights of the ground relative to each hit, `foot_radius` east, north, west
-            and south of it, NaN for none, (n, 4) [m].
+        sample_heights: heights of the ground relative to each hit, NaN for none, (n, samples) [m].
+        sample_offsets: x and y of the samples relative to the hit, (2, samples) [m].
 
     Returns:
         The unit normals of the planes, (n, 3), and which of the planes are ground that the agent
         can stand on, (n,).
     """
-    radius = foot_radius(columns.lattice)
-    sample_offsets = np.concatenate(
-        [
-            circle_offsets(NUM_DIRECTIONS, fraction * radius)
-            for fraction in SAMPLED_RADIUS_FRACTIONS
-        ],
-        axis=1,
-    )
-    # every other point of the outer circle is on an axis
-    is_on_axis = np.zeros(sample_offsets.shape[1], dtype=np.bool_)
-    is_on_axis[-NUM_DIRECTIONS::2] = True
-    sample_heights = np.empty((len(hit_indices), len(is_on_axis)))
-    sample_heights[:, is_on_axis] = axis_heights
-    sample_heights[:, ~is_on_axis] = _sample_ground(
-        columns, tiled_shapes, limits, cell_ids, hit_indices, sample_offsets[:, ~is_on_axis]
-    )
     directions_per_half_turn = NUM_DIRECTIONS // 2
     opposite_heights = np.roll(
-        sample_heights.reshape(len(hit_indices), -1, NUM_DIRECTIONS),
+        sample_heights.reshape(-1, len(SAMPLED_RADIUS_FRACTIONS), NUM_DIRECTIONS),
         directions_per_half_turn,
         axis=2,
     )
     paired_heights = np.where(
         np.isnan(opposite_heights.reshape(sample_heights.shape)), np.nan, sample_heights
     )
-    min_variance = MIN_VARIANCE_FRACTION * radius**2
+    min_variance = MIN_VARIANCE_FRACTION * foot_radius(columns.lattice) ** 2
     planes = _fit_planes(sample_offsets, paired_heights, min_variance)
     unpaired_indices = np.flatnonzero(~planes.is_determined)
     planes_of_all_samples = _fit_planes(
