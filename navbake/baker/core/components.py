@@ -3,6 +3,8 @@
 scipy has such functions, but takes longer to load than the apartment takes to bake.
 """
 
+from __future__ import annotations
+
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -99,6 +101,42 @@ class RowRuns(NamedTuple):
         value_of_piece[1::2] = values
         return np.repeat(value_of_piece, piece_lengths).reshape(num_rows, num_cols)
 
+    def merged_with(self, other: RowRuns) -> RowRuns:
+        """Return the runs of two arrays of one shape, none of whose runs overlap.
+
+        Args:
+            other: the runs of the other array.
+        """
+        row = np.concatenate([self.row, other.row])
+        first_col = np.concatenate([self.first_col, other.first_col])
+        order = np.lexsort([first_col, row])
+        return RowRuns(
+            row=row[order],
+            first_col=first_col[order],
+            end_col=np.concatenate([self.end_col, other.end_col])[order],
+            value=np.concatenate([self.value, other.value])[order],
+        )
+
+    def list_touching(self) -> tuple[Int, Int]:
+        """List the pairs of runs that touch: along a row, or at the edges of cells in two rows.
+
+        Returns:
+            The indices of the runs on the left or above, and of those on the right or below, shape
+            (pairs,) each.
+        """
+        left_run = np.flatnonzero(
+            (self.row[:-1] == self.row[1:]) & (self.end_col[:-1] == self.first_col[1:])
+        )
+        # each row has a column more, so that no run touches the next row's
+        num_cols = int(self.end_col.max(initial=0)) + 1
+        run_begin = self.row * num_cols + self.first_col
+        run_end = self.row * num_cols + self.end_col
+        # the runs of the next row that begin before a run's end and end behind its beginning
+        first_lower_run = np.searchsorted(run_end, run_begin + num_cols, "right")
+        end_lower_run = np.searchsorted(run_begin, run_end + num_cols, "left")
+        upper_run, lower_run = expand_ranges(first_lower_run, end_lower_run)
+        return np.append(left_run, upper_run), np.append(left_run + 1, lower_run)
+
     def count_cells(self, labels: Int | Int32, num_labels: int) -> Int:
         """Count the cells of each label.
 
@@ -151,28 +189,21 @@ def count_cells_by_label(labels: Int32, num_labels: int) -> Int:
     return runs.count_cells(runs.value, num_labels)
 
 
-def label_runs(runs: RowRuns, num_cols: int) -> tuple[Int32, Int]:
+def label_runs(runs: RowRuns) -> tuple[Int32, Int]:
     """Label the 4-connected components of runs with equal values (Rosenfeld and Pfaltz, 1966).
 
     Args:
         runs: the runs of an array.
-        num_cols: the number of the array's columns.
 
     Returns:
         The label of each run, shape (runs,); and the number of cells with each label, shape
         (components + 1,), 0 for label 0. Labels count from 1, in the order of the components' first
         runs.
     """
-    # each row has a column more, so that no run touches the next row's
-    run_begin = runs.row * (num_cols + 1) + runs.first_col
-    run_end = runs.row * (num_cols + 1) + runs.end_col
-    # the runs of the next row that begin before a run's end and end behind its beginning
-    first_lower_run = np.searchsorted(run_end, run_begin + num_cols + 1, "right")
-    end_lower_run = np.searchsorted(run_begin, run_end + num_cols + 1, "left")
-    upper_run, lower_run = expand_ranges(first_lower_run, end_lower_run)
-    is_equal = runs.value[upper_run] == runs.value[lower_run]
+    first_run, second_run = runs.list_touching()
+    is_equal = runs.value[first_run] == runs.value[second_run]
     label = 1 + label_components(
-        np.stack([upper_run[is_equal], lower_run[is_equal]]), len(runs.row)
+        np.stack([first_run[is_equal], second_run[is_equal]]), len(runs.row)
     )
     return label, runs.count_cells(label, int(label.max(initial=0)) + 1)
 
@@ -189,5 +220,5 @@ def label_components_2d(values: NDArray[Any]) -> tuple[Int32, Int]:
         no component, and its cells are not counted.
     """
     runs = find_row_runs(values)
-    label_of_run, num_cells = label_runs(runs, values.shape[1])
+    label_of_run, num_cells = label_runs(runs)
     return runs.paint(label_of_run, values.shape), num_cells

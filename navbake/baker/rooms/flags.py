@@ -74,6 +74,7 @@ class MarkedRooms(NamedTuple):
     Attributes:
         names: the rooms' names, None for a room without a name. Room number k + 1 has ``names[k]``.
         labels: for each level, the number of each cell's room, 0 for none, shape (height, width).
+            Empty if there are no rooms.
         warnings: warnings for the user, one line each.
         covered_labels: like `labels`, but a room also has the cells over its floor whose own floor
             is up to a step higher (on a podium, for example). Empty if it equals `labels`.
@@ -251,7 +252,7 @@ def mark_edge(is_empty: Bool, is_outer_side: Bool) -> Bool:
     """
     height, width = is_empty.shape
     runs = find_row_runs(is_empty)
-    component_of_run, num_cells = label_runs(runs, width)
+    component_of_run, num_cells = label_runs(runs)
     (is_upper_outer, is_lower_outer), (is_left_outer, is_right_outer) = is_outer_side.tolist()
     is_run_outer = (runs.row == 0) & is_upper_outer
     is_run_outer |= (runs.row == height - 1) & is_lower_outer
@@ -340,15 +341,14 @@ def _mark_by_geoms(
     a geom only marks a room if at least half of its upper side is floor, or lies up to a step below
     a floor (of a carpet or a podium, see `MarkedRooms.covered_labels`).
     """
+    lattice = columns.lattice
     num_geoms = scene.model.ngeom
     names = all_names(scene.model).stated_geom_names
     matching_geoms, warnings = _match_names(names, tuple(settings.geoms), "geoms")
     is_on_structure = scene.is_structure_body[scene.model.geom_bodyid]  # movables mark no rooms
     marking_geoms = [geom for geom in matching_geoms if is_on_structure[geom]]
-    labels = [np.zeros(columns.lattice.shape, np.int32) for _ in levels]
-    covered_labels = [np.zeros(columns.lattice.shape, np.int32) for _ in levels]
     if not marking_geoms:
-        return MarkedRooms([], labels, warnings)
+        return MarkedRooms([], [], warnings)
     room_of_geom = np.zeros(num_geoms + 1, dtype=np.int32)  # the last entry is for no geom
     room_of_geom[marking_geoms] = np.arange(1, len(marking_geoms) + 1)
     surfaces = _find_upward_surfaces(scene, columns, set(marking_geoms))
@@ -367,20 +367,23 @@ def _mark_by_geoms(
     num_surfaces = np.bincount(surfaces.geom, minlength=num_geoms)
     num_at_floor = np.bincount(surfaces.geom[is_at_floor], minlength=num_geoms)
     is_floor_geom = num_at_floor >= MIN_FLOOR_SHARE * num_surfaces
-    for labels_by_level, min_label_height in (
-        (labels, -MAX_MARKER_DEPTH - SAME_HEIGHT),
-        (covered_labels, min_height_above_floor),
-    ):
-        for label, height_above_floor in zip(labels_by_level, heights_above_floors, strict=True):
-            is_marking_surface = (
-                (height_above_floor >= min_label_height)
-                & (height_above_floor <= max_height_above_floor)
-                & is_floor_geom[surfaces.geom]
-            )
-            highest_geom = _find_highest_geom(
-                surfaces, is_marking_surface, label.size, no_geom=num_geoms
-            )
-            label[:] = room_of_geom[highest_geom].reshape(label.shape)
+    num_cells = lattice.height * lattice.width
+    labels = list[Int32]()
+    covered_labels = list[Int32]()
+    for height_above_floor in heights_above_floors:
+        is_floor_surface = is_floor_geom[surfaces.geom] & (
+            height_above_floor <= max_height_above_floor
+        )
+        is_marked = is_floor_surface & (height_above_floor >= -MAX_MARKER_DEPTH - SAME_HEIGHT)
+        is_covered = is_floor_surface & (height_above_floor >= min_height_above_floor)
+        highest_geom = _find_highest_geom(surfaces, is_marked, num_cells, num_geoms)
+        label = room_of_geom[highest_geom].reshape(lattice.shape)
+        covered_label = label
+        if not np.array_equal(is_covered, is_marked):
+            highest_geom = _find_highest_geom(surfaces, is_covered, num_cells, num_geoms)
+            covered_label = room_of_geom[highest_geom].reshape(lattice.shape)
+        labels.append(label)
+        covered_labels.append(covered_label)
     room_names = [_remove_prefix(names[geom]) for geom in marking_geoms]
     return MarkedRooms(room_names, labels, warnings, covered_labels)
 
@@ -408,6 +411,8 @@ def _mark_by_sites(
     """
     names = all_names(scene.model).sites
     matching_sites, warnings = _match_names(names, tuple(settings.sites), "sites")
+    if not matching_sites:
+        return MarkedRooms([], [], warnings)
     labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
     room_names = list[str | None]()
     small_sites = list[str]()
@@ -557,7 +562,8 @@ def _find_upward_surfaces(scene: Scene, columns: ColumnSource, geoms: set[int]) 
         is_marking = np.isin(np.arange(num_geoms), list(source_geoms))
         for chunk in source.row_chunks() if source_geoms else ():
             first_cell, end_cell = chunk.valid_rows.cell_range(chunk.lattice)
-            hit_indices = np.flatnonzero(is_marking[chunk.geom] & (chunk.normal[:, 2] > 0))
+            hit_indices = np.flatnonzero(is_marking[chunk.geom])
+            hit_indices = hit_indices[chunk.normal[hit_indices, 2] > 0]
             cell_in_chunk = (
                 np.searchsorted(chunk.start[first_cell : end_cell + 1], hit_indices, side="right")
                 - 1

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.core.components import (
+    RowRuns,
     expand_ranges,
     find_row_runs,
     label_components,
@@ -105,11 +106,13 @@ class SeparatedSpaces(NamedTuple):
     Attributes:
         direction_gaps: the gaps of each direction.
         label: the number of each cell's space, from 1, or 0 for none; shape (height, width), int32.
+        runs: runs of cells in the rows of `label`, with their labels; some have label 0.
         num_cells: the number of cells with each label, int64; 0 for label 0.
     """
 
     direction_gaps: list[DirectionGaps]
     label: Int32
+    runs: RowRuns
     num_cells: Int
 
 
@@ -145,7 +148,7 @@ def find_gaps(
         is_closed = np.zeros_like(is_passable)
     directions = find_directions(is_passable, cell_size, rays)
     marks, is_marked = _mark_gap_lines(is_passable, is_closed, directions, cell_size, door_width)
-    label, num_cells = label_spaces(is_open, is_marked, cell_size)
+    label, runs, num_cells = label_spaces(is_open, is_marked, cell_size)
     scanned_label = both_scan_orders(label)
     scanned_is_open = both_scan_orders(is_passable & ~is_closed)
     scanned_is_marked = both_scan_orders(is_marked)
@@ -172,7 +175,7 @@ def find_gaps(
         )
         gaps = _list_gaps(scan, crossings_by_order[direction.is_swapped], direction_marks)
         direction_gaps.append(DirectionGaps(direction, scan, gaps))
-    return SeparatedSpaces(direction_gaps, label, num_cells)
+    return SeparatedSpaces(direction_gaps, label, runs, num_cells)
 
 
 def _mark_gap_lines(
@@ -343,7 +346,7 @@ class _Crossings(NamedTuple):
         return values.T.ravel()[cells], np.cumsum(num_cells) - num_cells
 
 
-def label_spaces(is_open: Bool, is_marked: Bool, cell_size: float) -> tuple[Int32, Int]:
+def label_spaces(is_open: Bool, is_marked: Bool, cell_size: float) -> tuple[Int32, RowRuns, Int]:
     """Label the spaces: connected open cells that are not marked as cells of gaps.
 
     Areas smaller than `MIN_SPACE_AREA` are no spaces.
@@ -355,18 +358,19 @@ def label_spaces(is_open: Bool, is_marked: Bool, cell_size: float) -> tuple[Int3
         cell_size: the side of a cell, > 0 [m].
 
     Returns:
-        The label of each cell's space, from 1, 0 for none, shape (height, width); and the number of
-        cells of each label, 0 for label 0.
+        The label of each cell's space, from 1, 0 for none, shape (height, width); runs of cells
+        with one label, some with label 0; and the number of cells of each label, 0 for label 0.
     """
     runs = find_row_runs(is_open & ~is_marked)
-    component_of_run, num_cells = label_runs(runs, is_open.shape[1])
+    component_of_run, num_cells = label_runs(runs)
     is_space = num_cells * cell_size**2 >= MIN_SPACE_AREA
     is_space[0] = True
     # Spaces keep the order of their components.
     space_of_component = np.where(is_space, np.cumsum(is_space) - 1, 0).astype(np.int32)
-    label = runs.paint(space_of_component[component_of_run], is_open.shape)
+    runs = runs._replace(value=space_of_component[component_of_run])
+    label = runs.paint(runs.value, is_open.shape)
     is_marked |= is_open & (label == 0)
-    return label, num_cells[is_space]
+    return label, runs, num_cells[is_space]
 
 
 def _list_gaps(scan: Scan, crossings: _Crossings, marks: Marks) -> Gaps:

@@ -21,7 +21,6 @@ from navbake.baker.core.components import (
     list_adjacent_pairs,
 )
 from navbake.baker.core.level_stacks import LevelStack, make_level_stacks
-from navbake.baker.core.windows import list_differing_pairs
 from navbake.baker.rooms.flags import MIN_OUTDOOR_EDGE, RoomFlags
 from navbake.baker.rooms.segmentation import CELL_ROUNDING, measure_widest_places
 from navbake.baker.rooms.walls import measure_squared_distances
@@ -135,14 +134,17 @@ def _mark_cavities(
     cell_size = flags.lattice.cell_size
     num_labels = len(level_index)
     area = runs.count_cells(runs.value, num_labels) * cell_size**2
-    # all marked rooms are one space: which of them a segment touches makes no difference
-    space_of_cell = np.where(stack.stack(room_numbers) > 0, np.int32(num_labels), segment)
-    touching_spaces = space_of_cell.ravel()[list_differing_pairs(space_of_cell)]
-    is_connected = np.zeros(num_labels, dtype=np.bool_)
+    # what touches a marked room is connected: marked rooms are a segment behind all others
+    room_runs = find_row_runs(stack.stack(room_numbers) > 0)
+    space_runs = runs.merged_with(
+        room_runs._replace(value=np.full(len(room_runs.row), num_labels, dtype=np.int32))
+    )
+    first_run, second_run = space_runs.list_touching()
+    touching_spaces = space_runs.value[np.stack([first_run, second_run])]
+    is_connected = np.zeros(num_labels + 1, dtype=np.bool_)
+    is_connected[touching_spaces[:, touching_spaces[0] != touching_spaces[1]]] = True
+    is_connected = is_connected[:num_labels]
     is_connected[0] = True
-    is_connected[
-        touching_spaces[(touching_spaces > 0).all(axis=0) & (touching_spaces < num_labels)]
-    ] = True
     is_connected[segment[stack.stack([level.is_at_edge for level in flags.levels])]] = True
     for level_number in stack.levels:
         cells = stack.cells_of(level_number, cells_beyond[level_number])
@@ -206,7 +208,7 @@ def _find_outdoors(stacked_segments: StackedSegments, flags: RoomFlags) -> tuple
     num_cells = runs.count_cells(runs.value, num_labels)
     is_outdoors = is_candidate & (num_under_open_sky >= MIN_OPEN_SHARE * num_cells)
     is_bank = stack.stack([level.is_bank for level in flags.levels])
-    united_segment = _unite_touching(segment, is_outdoors, is_bank)
+    united_segment = _unite_touching(runs, is_outdoors, is_bank)
     if flags.has_ground:
         lowest_segment = np.full(len(stack.levels), num_labels, dtype=np.int32)
         np.minimum.at(lowest_segment, level_index[is_outdoors], united_segment[is_outdoors])
@@ -232,11 +234,11 @@ def _measure_squared_distances_on_levels(is_target: Bool, reach: int) -> Int32:
     return squared_distance.reshape(is_target_apart.shape)[:, :height]
 
 
-def _unite_touching(segment: Int32, is_outdoors: Bool, is_bank: Bool) -> Int32:
+def _unite_touching(runs: RowRuns, is_outdoors: Bool, is_bank: Bool) -> Int32:
     """Unite outdoor segments that touch each other, or the same bank (ground that is too steep).
 
     Args:
-        segment: the segment of each cell, 0 for none, shape (height, width).
+        runs: the runs of cells of one segment in rows.
         is_outdoors: by segment, whether it is outdoors.
         is_bank: cells without a floor whose ground is too steep, see `LevelFlags.is_bank`.
 
@@ -244,12 +246,14 @@ def _unite_touching(segment: Int32, is_outdoors: Bool, is_bank: Bool) -> Int32:
         By segment, the lowest number of the segments that it is united with, itself included.
     """
     bank_runs = find_row_runs(is_bank)
-    bank_of_run, num_bank_cells = label_runs(bank_runs, is_bank.shape[1])
+    bank_of_run, num_bank_cells = label_runs(bank_runs)
     # nodes are the segments, and behind them the banks, on other cells
-    node_of_cell = bank_runs.paint(bank_of_run + np.int32(len(is_outdoors) - 1), is_bank.shape)
-    node_of_cell += segment
+    node_runs = runs.merged_with(
+        bank_runs._replace(value=bank_of_run + np.int32(len(is_outdoors) - 1))
+    )
     may_join = np.concatenate([is_outdoors, np.ones(len(num_bank_cells) - 1, dtype=np.bool_)])
-    touching_nodes = node_of_cell.ravel()[list_differing_pairs(node_of_cell)]
+    first_run, second_run = node_runs.list_touching()
+    touching_nodes = node_runs.value[np.stack([first_run, second_run])]
     # the first node of a component is its least
     component = label_components(
         touching_nodes[:, may_join[touching_nodes].all(axis=0)], len(may_join)

@@ -131,7 +131,7 @@ def segment_by_gaps(
     is_closed = np.zeros_like(is_open) if leaf_marks is None else leaf_marks.is_separating[window]
     if (is_open | is_hole).all():
         # gaps are between walls, and there is none
-        label, _ = label_spaces(is_open, is_closed.copy(), cell_size)
+        label, _, _ = label_spaces(is_open, is_closed.copy(), cell_size)
         close_calls = list[CloseCall]()
     else:
         rays = None
@@ -247,7 +247,9 @@ def _label_at_gaps(
     separated_spaces = find_gaps(is_open, is_hole, cell_size, door_width, rays, is_closed)
     space_merger = SpaceMerger(separated_spaces, cell_size, door_width, rays)
     space_merger.join_spaces()
-    return space_merger.space_of_label[separated_spaces.label], space_merger.list_close_calls()
+    runs = separated_spaces.runs
+    label = runs.paint(space_merger.space_of_label[runs.value], is_open.shape)
+    return label, space_merger.list_close_calls()
 
 
 def _label_spaces_behind(cells_beyond: Int, label: Int32, is_open: Bool) -> None:
@@ -310,9 +312,8 @@ def _join_spaces(
     reach = int(MAX_GAP_WIDTH / cell_size) + 2
     space_graph = _SpaceGraph(label, num_cells, may_join, is_open, reach)
     if is_stair.any():
-        height_sums = np.bincount(
-            label.ravel(), np.where(label > 0, floor, 0.0).ravel(), num_labels
-        )
+        is_labelled = label > 0
+        height_sums = np.bincount(label[is_labelled], floor[is_labelled], num_labels)
         mean_heights = height_sums / np.maximum(num_cells, 1)
         widest_squared = measure_widest_places(label, runs, is_open, is_stair, reach)
         space_graph.join_stairs(is_stair, mean_heights, np.sqrt(widest_squared))

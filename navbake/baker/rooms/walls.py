@@ -28,6 +28,7 @@ from navbake.types import Bool, Float, Int, Int32
 ScalarT = TypeVar("ScalarT", bound=np.generic)
 
 MIN_CHUNK_COLUMNS = 64  # the fewest columns that one thread sweeps
+ROWS_PER_COPY = 64  # rows that are copied together to Fortran order
 NO_ROWS = np.empty((0, 0), dtype=np.int32)  # `squared` in the first call of `sweep_distances`
 
 # ------------------------------------------------------------ directions of walls
@@ -470,20 +471,41 @@ def _refine_angle(position: Float, bin_number: int, bin_width: float, strip_widt
     num_steps = round(1.5 / REFINEMENT_STEP)
     refinement_steps = np.arange(-num_steps, num_steps + 1, dtype=np.float64)
     angles = bin_width * (bin_number + REFINEMENT_STEP * refinement_steps)
-    sharpness = np.zeros(len(angles), dtype=np.int64)
-    for angle_index, strip_of_point in enumerate(_find_strips(position, angles, strip_width)):
-        for strip_offset in (0.0, 0.5):  # so that no wall falls between two strips
-            num_points_in_strip = np.bincount((strip_of_point + strip_offset).astype(np.int64))
-            # how densely points lie in strips and in pairs of strips; whole numbers, so exact
-            sharpness[angle_index] = max(
-                sharpness[angle_index],
-                num_points_in_strip @ num_points_in_strip
-                + num_points_in_strip[1:] @ num_points_in_strip[:-1],
-            )
+    strip_of_point = _find_strips(position, angles, strip_width)
+    # the second with other bounds of strips, so that no wall falls between two strips
+    sharpness = np.maximum(
+        _measure_sharpness(strip_of_point.astype(np.int32)),
+        _measure_sharpness((strip_of_point + 0.5).astype(np.int32)),
+    )
     is_axis = angles % 90.0 == 0.0
     if (sharpness[is_axis] >= MIN_AXIS_SHARPNESS_SHARE * sharpness.max()).any():
         return float(angles[is_axis][0])
     return float(angles[sharpness.argmax()])
+
+
+def _measure_sharpness(strip_of_point: Int32) -> Int:
+    """Measure for each angle how densely points lie in strips and in pairs of strips.
+
+    Args:
+        strip_of_point: the number of each point's strip at each angle, from 0, shape (angles, n);
+            at least one point.
+
+    Returns:
+        The sum over all strips of the squared number of points, and of that number times the next
+        strip's, shape (angles,). These are whole numbers, so the result is exact.
+    """
+    num_angles, num_points = strip_of_point.shape
+    # the strips of all angles in one row; between those of two angles is one without points
+    first_strips = np.arange(num_angles) * (int(strip_of_point.max()) + 2)
+    strips = (np.sort(strip_of_point, axis=1) + first_strips[:, None]).ravel()
+    first_points = np.flatnonzero(np.append(True, strips[1:] != strips[:-1]))  # in each strip
+    strips = strips[first_points]
+    num_in_strip = np.diff(first_points, append=strip_of_point.size)
+    density = num_in_strip**2
+    density[:-1] += num_in_strip[:-1] * num_in_strip[1:] * (strips[1:] == strips[:-1] + 1)
+    return np.add.reduceat(
+        density, np.searchsorted(first_points, np.arange(num_angles) * num_points)
+    )
 
 
 def make_direction(angle: float, shape: tuple[int, ...]) -> WallDirection:
@@ -521,7 +543,22 @@ def both_scan_orders(array: NDArray[ScalarT]) -> tuple[NDArray[ScalarT], NDArray
         those that are: ``both_scan_orders(array)[direction.is_swapped]``. `from_scan_order` is the
         inverse.
     """
-    return np.asfortranarray(array), np.asfortranarray(array.T)
+    return _to_fortran_order(array), _to_fortran_order(array.T)
+
+
+def _to_fortran_order(array: NDArray[ScalarT]) -> NDArray[ScalarT]:
+    """Return an array in Fortran order, a view or a copy.
+
+    It is copied some rows at a time: whole rows of a large lattice take numpy three times as long,
+    as each entry is then in a part of memory that is no longer, or not yet, in the cache.
+    """
+    if array.flags.f_contiguous:
+        return array
+    array_in_order = np.empty_like(array, order="F")
+    for first_row in range(0, len(array), ROWS_PER_COPY):
+        rows = slice(first_row, first_row + ROWS_PER_COPY)
+        array_in_order[rows] = array[rows]
+    return array_in_order
 
 
 def from_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArray[ScalarT]:
@@ -571,9 +608,10 @@ class WallRays:
             floor: heights of these cells' floors, NaN for none, shape (height, width) [m].
         """
         self._lattice = lattice
-        has_floor = ~np.isnan(floor)
-        self._ray_heights = floor + RAY_HEIGHT
-        heights = self._ray_heights[has_floor]
+        self._floor = floor
+        heights = floor[~np.isnan(floor)]
+        # of floors side by side at one height, one is enough
+        heights = heights[np.append(True, heights[1:] != heights[:-1])] + RAY_HEIGHT
         # most walls of a tower are on other levels
         is_box_at_rays = (walls.boxes[:, 2] <= heights.max() + TILE_MARGIN) & (
             walls.boxes[:, 5] >= heights.min() - TILE_MARGIN
@@ -588,7 +626,6 @@ class WallRays:
         vertices = corners.reshape(-1, 3)
         faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
         triangles = Facets(vertices, faces, geom, part, closed)
-        self._ray_heights[~has_floor] = NO_FLOOR_HEIGHT
         # rays from cells at the lattice's edge reach beyond it
         self._reach = max(MIN_RAY_LENGTH, MAX_JAMB_DISTANCE / lattice.cell_size)  # [cells]
         self._margin = math.ceil(self._reach) + 1
@@ -620,9 +657,9 @@ class WallRays:
         ray_ends = ray_ends[is_unmeasured]
         if len(ray_cells):
             if direction.is_swapped:
-                cols, rows = np.divmod(ray_cells, self._ray_heights.shape[0])
+                cols, rows = np.divmod(ray_cells, self._floor.shape[0])
             else:
-                rows, cols = np.divmod(ray_cells, self._ray_heights.shape[1])
+                rows, cols = np.divmod(ray_cells, self._floor.shape[1])
             distance, _ = self._cast(walls, rows, cols, ray_ends == 1, RAY_OFFSETS)
             column_length = direction.length_per_column * self._lattice.cell_size
             walls.coded_distance[ray_cells, ray_ends] = distance / column_length + 1.0
@@ -642,7 +679,7 @@ class WallRays:
         """
         is_closed = np.pad(~is_open, 1, mode="edge")
         cell_size = self._lattice.cell_size
-        has_floor = is_open & (self._ray_heights > NO_FLOOR_HEIGHT)
+        has_floor = is_open & ~np.isnan(self._floor)
         cells_per_ray = max(1, int(POINT_SPACING / cell_size))  # one of this many cells has a ray
         num_rows, num_cols = is_open.shape
         positions = list[Float]()
@@ -710,9 +747,9 @@ class WallRays:
         axes = walls.axes
         tiled_walls = walls.tiled_walls
         num_offsets = len(ray_offsets)
-        centers = (
-            np.column_stack([lattice.positions(row, col), self._ray_heights[row, col]]) @ axes.T
-        )
+        floor = self._floor[row, col]
+        height = np.where(np.isnan(floor), NO_FLOOR_HEIGHT, floor + RAY_HEIGHT)
+        centers = np.column_stack([lattice.positions(row, col), height]) @ axes.T
         # cells of the lattice with its margin
         start_cells = np.stack([row, col]) + (self._margin + 0.5)
         ray_sign = np.where(is_forward, 1.0, -1.0)
@@ -763,7 +800,7 @@ class WallRays:
             x, y = -ray_direction[::-1] if direction.is_swapped else ray_direction
             axes = np.array([[-y, x, 0.0], [0.0, 0.0, 1.0], [x, y, 0.0]])
             tiled_walls = replace(self._tiled, shapes=self._tiled.shapes.solids_in_frame(axes))
-            coded_distance = np.zeros((self._ray_heights.size, 2))
+            coded_distance = np.zeros((self._floor.size, 2))
             self._rotated_walls[key] = RotatedWalls(axes, tiled_walls, coded_distance)
         return self._rotated_walls[key]
 
