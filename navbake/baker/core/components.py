@@ -92,14 +92,14 @@ class RowRuns(NamedTuple):
             shape: the shape of the array whose runs these are, (rows, cols).
         """
         num_rows, num_cols = shape
-        # lengths of gap, run, gap, run, … over all cells in order; then the gap behind the last run
-        run_bounds = np.stack(
-            [self.row * num_cols + self.first_col, self.row * num_cols + self.end_col], axis=1
-        ).ravel()
-        piece_lengths = np.diff(run_bounds, prepend=0, append=num_rows * num_cols)
-        value_of_piece = np.zeros(len(piece_lengths), dtype=values.dtype)
+        # gap, run, gap, run, … over all cells in order; then the gap behind the last run
+        value_of_piece = np.zeros(2 * len(values) + 1, dtype=values.dtype)
         value_of_piece[1::2] = values
-        return np.repeat(value_of_piece, piece_lengths).reshape(num_rows, num_cols)
+        piece_bounds = np.zeros(len(value_of_piece) + 1, dtype=np.int64)
+        piece_bounds[1:-1:2] = self.row * num_cols + self.first_col
+        piece_bounds[2:-1:2] = self.row * num_cols + self.end_col
+        piece_bounds[-1] = num_rows * num_cols
+        return np.repeat(value_of_piece, np.diff(piece_bounds)).reshape(num_rows, num_cols)
 
     def merged_with(self, other: RowRuns) -> RowRuns:
         """Return the runs of two arrays of one shape, none of whose runs overlap.

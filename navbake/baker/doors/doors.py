@@ -369,7 +369,7 @@ def is_stuck(door_cells: DoorCells) -> bool:
     cells_when_closed = door_cells.blocked["closed"]
     num_closed_cells = sum(len(closed_cells) for closed_cells in cells_when_closed)
     num_cells_in_both = sum(
-        len(np.intersect1d(closed_cells, open_cells))
+        len(np.intersect1d(closed_cells, open_cells, assume_unique=True))
         for closed_cells, open_cells in zip(
             cells_when_closed, door_cells.blocked["open"], strict=True
         )

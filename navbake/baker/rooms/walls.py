@@ -847,7 +847,8 @@ def _choose_triangles(triangles: Facets, heights: Float) -> list[NDArray[Any]]:
         triangles.geom[triangle_ids],
         triangles.part[triangle_ids],
         triangles.closed[triangle_ids],
-        triangles.vertices[triangles.faces[triangle_ids]],
+        # `take` needs half the time of an index in brackets here
+        triangles.vertices.take(triangles.faces.take(triangle_ids, axis=0), axis=0),
     ]
 
 
