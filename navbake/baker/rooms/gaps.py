@@ -231,7 +231,7 @@ def _mark_gap_lines(
             )
             wait_functions.append(
                 run_beside(
-                    _mark_lines_along,
+                    mark_lines_along,
                     direction,
                     scanned_is_unmarked[direction.is_swapped],
                     limits,
@@ -244,7 +244,7 @@ def _mark_gap_lines(
     return marks, is_marked
 
 
-def _mark_lines_along(
+def mark_lines_along(
     direction: WallDirection, is_unmarked: Bool, limits: GapLimits, marks: Marks
 ) -> tuple[Window, Bool]:
     """Mark the cells of gaps that lie along a direction of walls.

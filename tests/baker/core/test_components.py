@@ -8,7 +8,12 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from navbake.baker.core.components import label_components, label_components_2d, list_adjacent_pairs
+from navbake.baker.core.components import (
+    find_row_runs,
+    label_components,
+    label_components_2d,
+    list_adjacent_pairs,
+)
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -55,3 +60,35 @@ def test_parts_of_one_value_are_apart_from_others():
     found, num_cells = label_components_2d(values)
     assert found.tolist() == [[1, 1, 2, 0], [1, 2, 2, 3], [0, 0, 3, 3]]
     assert num_cells.tolist() == [0, 3, 3, 3]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_runs_stand_for_the_cells_of_an_array(seed):
+    rng = np.random.default_rng(seed)
+    values = rng.integers(0, 3, rng.integers(1, 12, 2), dtype=np.int32)
+    runs = find_row_runs(values)
+    np.testing.assert_array_equal(runs.paint(runs.value, values.shape), values)
+    counts = np.bincount(values.ravel(), minlength=3)
+    assert runs.count_cells(runs.value, 3).tolist() == [0, *counts[1:]]
+    ones = find_row_runs(np.where(values == 1, values, 0))
+    twos = find_row_runs(np.where(values == 2, values, 0))
+    for merged, expected in zip(twos.merged_with(ones), runs, strict=True):
+        np.testing.assert_array_equal(merged, expected)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_runs_touch_where_their_cells_do(seed):
+    rng = np.random.default_rng(seed)
+    values = rng.integers(0, 3, rng.integers(1, 12, 2), dtype=np.int32)
+    runs = find_row_runs(values)
+    run_of_cell = runs.paint(np.arange(1, len(runs.row) + 1), values.shape)
+    expected = set()
+    for first, second in (
+        (run_of_cell[:, :-1], run_of_cell[:, 1:]),
+        (run_of_cell[:-1], run_of_cell[1:]),
+    ):
+        is_touching = (first > 0) & (second > 0) & (first != second)
+        expected |= set(zip(first[is_touching] - 1, second[is_touching] - 1, strict=True))
+    first_run, second_run = runs.list_touching()
+    assert set(zip(first_run, second_run, strict=True)) == expected
+    assert len(first_run) == len(expected)

@@ -16,10 +16,11 @@ from navbake.baker.rooms.gap_limits import (
     MAX_WALL_DISTANCE,
     WIDENING_FACTOR,
 )
-from navbake.baker.rooms.gaps import SpaceMerger, find_gaps
+from navbake.baker.rooms.gaps import SpaceMerger, find_gaps, mark_lines_along
 from navbake.baker.rooms.walls import (
     RAY_HEIGHT,
     WallRays,
+    both_scan_orders,
     find_directions,
     make_direction,
     mark_wall_nodes,
@@ -371,6 +372,42 @@ def test_distances_at_some_nodes(reach):
         nodes = rng.integers(0, every.shape, (200, 2)).T
         distances = measure_squared_distances_at(is_open, reach, *nodes)
         np.testing.assert_array_equal(distances, every[tuple(nodes)])
+
+
+@pytest.mark.parametrize("both", [True, False])
+@pytest.mark.parametrize("angle", [7.0, 30.0, 45.0, 62.0, 100.0, 140.0])
+def test_gaps_near_a_wall_are_those_that_the_whole_lattice_shows(angle, both):
+    rng = np.random.default_rng(2)
+    limits = kernels.GapLimits(
+        max_width=10,
+        widening_factor=WIDENING_FACTOR,
+        min_widening=2.0,
+        max_thickness=5,
+        marks_only_doorways=both,
+    )
+    shape = (150, 170)
+    window = np.s_[70:84, 90:108]
+    is_near_wall = np.zeros(shape, dtype=np.bool_)
+    is_near_wall[window] = rng.random(is_near_wall[window].shape) < 0.5
+    direction = make_direction(angle, shape)
+    for share in (0.9, 0.95, 0.97):
+        is_open = rng.random(shape) < share
+        scanned_is_open = both_scan_orders(is_open)[direction.is_swapped]
+        marks = np.zeros_like(scanned_is_open, dtype=np.uint8)
+        expected = marks.copy(order="F")
+        scanned_window, is_marked = mark_lines_along(
+            direction._replace(window=window, is_near_wall=is_near_wall[window]),
+            scanned_is_open,
+            limits,
+            marks,
+        )
+        assert is_marked.size < is_open.size
+        _, is_expected = mark_lines_along(
+            direction._replace(is_near_wall=is_near_wall), scanned_is_open, limits, expected
+        )
+        np.testing.assert_array_equal(marks, expected)
+        np.testing.assert_array_equal(is_marked, is_expected[scanned_window])
+        assert is_marked.any() and is_marked.sum() == is_expected.sum()
 
 
 @pytest.mark.parametrize("turn", [0.0, 7.4, 26.0, 39.15, 50.67, 71.0])
