@@ -100,9 +100,10 @@ def find_level_boxes(
     if any(
         z > min(bottoms[k:], default=np.inf) - 2 * BOX_GAP for k, z in enumerate(highest_floors, 1)
     ):
-        free_floors = [floor.astype(np.float64) for floor in floors]
-        for floor, is_occupied in zip(free_floors, is_occupied_by_level, strict=True):
-            floor[is_occupied] = np.nan
+        free_floors = [
+            np.where(is_occupied, np.float64(np.nan), floor)
+            for floor, is_occupied in zip(floors, is_occupied_by_level, strict=True)
+        ]
     tops, num_misplaced_cells = _find_tops(
         free_floors,
         windows=windows,
