@@ -88,7 +88,11 @@ class Watcher:
     """
 
     def __init__(self, out: Path, expected: dict[str, str]) -> None:
-        self._out, self._expected = out, expected
+        self._grids = {
+            str(out / name): (name, digest)
+            for name, digest in expected.items()
+            if name.endswith(".json.gz")
+        }
         self._pool, self._ended = ThreadPoolExecutor(1), threading.Event()
         self._known: dict[str, tuple[int, int, int]] = {}
         self.looks, self.torn = 0, set[str]()
@@ -111,16 +115,16 @@ class Watcher:
         is_last = False
         while not is_last:
             is_last = self._ended.wait(0.002)
-            for path in self._out.glob("*/*.json.gz"):
+            for path, (name, expected_digest) in self._grids.items():
                 with contextlib.suppress(FileNotFoundError):
-                    self._look(path, path.relative_to(self._out).as_posix())
+                    self._look(path, name, expected_digest)
 
-    def _look(self, path: Path, name: str) -> None:
+    def _look(self, path: str, name: str, expected_digest: str) -> None:
         status = os.stat(path)
         state = status.st_ino, status.st_size, status.st_mtime_ns
         if self._known.get(name) != state:
-            digest = hashlib.sha256(path.read_bytes()).hexdigest()
+            digest = hashlib.sha256(Path(path).read_bytes()).hexdigest()
             self._known[name] = state
             self.looks += 1
-            if digest != self._expected[name]:
+            if digest != expected_digest:
                 self.torn.add(name)

@@ -14,6 +14,7 @@ from typing import Any
 
 from typer import Exit, Option, Typer
 from typer.core import TyperGroup
+from typer.main import get_command
 
 from navbake._version import __version__
 from navbake.cli.ask import info, path, rooms, sample, stand, why
@@ -96,7 +97,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         logging.getLogger(name).handlers[:] = [_LogPrinter()]
     try:
         try:
-            app(None if arguments is None else list(arguments), prog_name="navbake")
+            COMMAND_LINE(None if arguments is None else list(arguments), prog_name="navbake")
         finally:  # flush, which may fail, too
             if sys.stdout is not None:
                 sys.stdout.flush()
@@ -136,3 +137,7 @@ def _options(
         False, "--version", callback=_print_version, is_eager=True, help="Print the version."
     ),
 ) -> None: ...
+
+
+COMMAND_LINE = get_command(app)
+"""All commands with their options, as typer makes them of `app`."""

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple, overload
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from navbake.types import Bool, Float, Int
 
@@ -225,36 +225,50 @@ def find_outline_fault(points: ArrayLike) -> str | None:
         return f"corners beyond {MAX_COORDINATE:g} m"
     if np.linalg.matrix_rank(corners - corners[0]) < 2:
         return "corners that all lie in a line"
-    sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
-    num_at_once = max(1, MAX_PAIRS // len(sides))
-    for first_side_index in range(0, len(sides), num_at_once):
-        side_batch = sides[first_side_index : first_side_index + num_at_once, None]
-        is_crossing = _separates(side_batch, sides[None]) & _separates(sides[None], side_batch)
-        crossing_indices = np.argwhere(is_crossing)
-        if len(crossing_indices):
+    ends = np.roll(corners, -1, axis=0)
+    num_at_once = max(1, MAX_PAIRS // len(corners))
+    for first_line in range(0, len(corners), num_at_once):
+        lines = slice(first_line, first_line + num_at_once)
+        # each line with the sides from it on: those before have been compared with it
+        later_corners = np.vstack([corners[first_line:], corners[:1]])
+        turns = _turns(corners[lines, None], ends[lines, None], later_corners)
+        # a side ends where the next one starts
+        line_indices, side_indices = np.nonzero(turns[:, :-1] * turns[:, 1:] < 0)
+        line_indices += first_line
+        side_indices += first_line
+        starts_of_sides = corners[side_indices]
+        ends_of_sides = ends[side_indices]
+        turns_back = _turns(starts_of_sides, ends_of_sides, corners[line_indices])
+        turns_back *= _turns(starts_of_sides, ends_of_sides, ends[line_indices])
+        is_crossing = turns_back < 0
+        if is_crossing.any():
             # the first side that crosses another, and the first that it crosses
-            batch_index, crossed_index = crossing_indices[0]
-            crossing_pair = sides[[first_side_index + batch_index, crossed_index]]
+            first_crossing = np.argmax(is_crossing)
+            crossing_pair = [line_indices[first_crossing], side_indices[first_crossing]]
             side_texts = [
-                f"[{x0:g}, {y0:g}] to [{x1:g}, {y1:g}]" for x0, y0, x1, y1 in crossing_pair
+                f"[{x0:g}, {y0:g}] to [{x1:g}, {y1:g}]"
+                for (x0, y0), (x1, y1) in zip(
+                    corners[crossing_pair], ends[crossing_pair], strict=True
+                )
             ]
             return "sides that cross: " + " and ".join(side_texts)
     return None
 
 
-def _separates(lines: Float, sides: Float) -> Bool:
-    """Return whether each line separates the two ends of a side.
+def _turns(starts: Float, ends: Float, points: Float) -> NDArray[np.int8]:
+    """Return on which side of lines points are: 1 to the left, -1 to the right, 0 on the line.
 
     Args:
-        lines: x, y of two points of each line, shape (..., 4).
-        sides: x, y of the start and of the end of each side, a shape that broadcasts with `lines`.
+        starts: x, y of a point of each line, shape (..., 2).
+        ends: x, y of another point of each line, of the same shape.
+        points: x, y of the points, a shape that broadcasts with that of the lines.
     """
-    x0, y0, x1, y1 = np.moveaxis(lines, -1, 0)
-    start_x, start_y, end_x, end_y = np.moveaxis(sides, -1, 0)
-    # signed areas: which side of the line the start and the end of a side are on
-    turn_to_start = np.sign((x1 - x0) * (start_y - y0) - (y1 - y0) * (start_x - x0))
-    turn_to_end = np.sign((x1 - x0) * (end_y - y0) - (y1 - y0) * (end_x - x0))
-    return np.asarray(turn_to_start * turn_to_end < 0)
+    along_x, along_y = np.moveaxis(ends - starts, -1, 0)
+    signed_areas = along_x * (points[..., 1] - starts[..., 1])
+    signed_areas -= along_y * (points[..., 0] - starts[..., 0])
+    turns = (signed_areas > 0).view(np.int8)
+    turns -= (signed_areas < 0).view(np.int8)
+    return turns
 
 
 def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
