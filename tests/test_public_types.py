@@ -145,7 +145,8 @@ def messages(tmp_path_factory) -> dict[str, dict[int, list[str]]]:
         (folder / f"{name}.py").write_text(text, encoding="utf-8")
     # errors in navbake itself are those of its own run of mypy
     options = ["--strict", "--follow-imports=silent", "--config-file=", "--no-pretty"]
-    options.append(f"--cache-dir={ROOT / '.mypy_cache'}")
+    # a cache of its own: other options make a cache useless for the package's own run of mypy
+    options.append(f"--cache-dir={ROOT / '.mypy_cache' / 'user_scripts'}")
     done = subprocess.run(
         [sys.executable, "-m", "mypy", *options, *(f"{name}.py" for name in scripts)],
         cwd=folder,

@@ -266,7 +266,7 @@ def _turns(starts: Float, ends: Float, points: Float) -> NDArray[np.int8]:
     along_x, along_y = np.moveaxis(ends - starts, -1, 0)
     signed_areas = along_x * (points[..., 1] - starts[..., 1])
     signed_areas -= along_y * (points[..., 0] - starts[..., 0])
-    turns = (signed_areas > 0).view(np.int8)
+    turns: NDArray[np.int8] = (signed_areas > 0).view(np.int8)
     turns -= (signed_areas < 0).view(np.int8)
     return turns
 

@@ -101,7 +101,7 @@ def crossing(points):
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_crossings_are_those_that_comparing_all_sides_finds(seed):
+def test_crossings_are_those_that_comparing_all_sides_finds(seed, monkeypatch):
     rng = np.random.default_rng(seed)
     count = int(rng.integers(4, 9)) if seed % 2 else 40
     angle = np.sort(rng.uniform(0, 6, count))
@@ -114,6 +114,8 @@ def test_crossings_are_those_that_comparing_all_sides_finds(seed):
     else:
         named = [f"[{x:g}, {y:g}]" for x, y in expected]
         assert found == "sides that cross: {} to {} and {} to {}".format(*named)
+    monkeypatch.setattr("navbake.navgrid.lattice.MAX_PAIRS", 3 * len(points))
+    assert find_outline_fault(points) == found  # three sides at once
 
 
 def comb(teeth, slant):
