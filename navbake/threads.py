@@ -42,7 +42,8 @@ def run_in_chunks(
     """Call a kernel for the indices ``range(begin, begin + count)``, in chunks, on several threads.
 
     A thread that has finished a chunk takes the next one. The result must not depend on that: each
-    chunk writes data that no other chunk reads or writes.
+    chunk writes data that no other chunk reads or writes. If there are several chunks, what the
+    kernel itself starts runs on the thread of its chunk alone, as other threads have chunks, too.
 
     Args:
         kernel: ``kernel(*args, begin, end)`` does the work for the indices ``range(begin, end)``.
@@ -127,9 +128,10 @@ def _run_kernel(
     kernel: Callable[..., object], args: tuple[object, ...], chunks: Iterator[tuple[int, int]]
 ) -> None:
     """Call a kernel for the next chunk, until none is left; other threads take chunks as well."""
-    # `next` of a list's iterator is atomic
-    for begin, end in chunks:
-        kernel(*args, begin, end)
+    with limit_threads(1):
+        # `next` of a list's iterator is atomic
+        for begin, end in chunks:
+            kernel(*args, begin, end)
 
 
 def num_threads() -> int:

@@ -88,6 +88,20 @@ def test_what_runs_beside_has_the_limit_too(monkeypatch):
     assert run_beside(num_threads)() == 5
 
 
+def test_what_a_chunk_starts_runs_on_its_thread_alone():
+    """Else a bake that is told to run on few threads would run on more."""
+    threads_by_chunk = {}
+
+    def note_threads(first_index, end_index):
+        threads_by_chunk[first_index] = num_threads()
+
+    with limit_threads(2):
+        threads = num_threads()
+        run_in_chunks(note_threads, 100)
+        assert num_threads() == threads
+    assert set(threads_by_chunk.values()) == {1}
+
+
 def test_what_no_thread_has_begun_is_run_by_the_one_that_asks():
     """Else it would wait for threads that are at work for others, perhaps for itself."""
     go_on = threading.Event()
