@@ -16,6 +16,7 @@ from navbake.baker.floors.growth_kernels import (
     BARRIER,
     NO_FLOOR,
     NO_LEVEL,
+    NO_LEVEL_ABOVE,
     GrowingSurfaces,
     GrowthState,
 )
@@ -23,11 +24,14 @@ from navbake.baker.floors.level_assignment import LevelAssignment
 from navbake.baker.floors.regions import Regions
 from navbake.baker.floors.surfaces import may_slopes_join
 from navbake.config.settings import AgentSettings
+from navbake.errors import SceneError
 from navbake.threads import LEAST_CELLS, run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
 NO_CELLS = np.empty(0, dtype=np.int64)
 NO_STEPS = np.empty((0, 4), dtype=np.int64)
+# Numbers of levels are stored as int16, and the greatest one stands for no level
+MAX_LEVELS = int(NO_LEVEL_ABOVE)
 
 
 class GrownFloor(NamedTuple):
@@ -88,7 +92,14 @@ def grow_levels(
 
     Returns:
         The floors, the lowest level first.
+
+    Raises:
+        SceneError: there are more levels than `MAX_LEVELS`.
     """
+    if num_levels > MAX_LEVELS:
+        raise SceneError(
+            f"expected at most {MAX_LEVELS} levels, got {num_levels}: raise `floors.min_area`"
+        )
     num_cells = surfaces.lattice.width * surfaces.lattice.height
     highest_level_below = np.empty(len(surfaces.z), dtype=np.int16)
     lowest_level_above = np.empty(len(surfaces.z), dtype=np.int16)

@@ -142,12 +142,12 @@ def find_floors(
 
     Raises:
         SceneError: there is no floor at all, none on a level of the configuration, or none at a
-            position of `floors.from`.
+            position of `floors.from`; or there are too many levels.
     """
     classified_regions = _classify_regions(
         columns, shapes, agent, settings, level_settings or (), is_occupied
     )
-    columns.forget_columns()  # levels depend on regions, and hardly on columns
+    columns.forget_columns()  # from here on, only a level that may be a void needs some
     assigned_floors = _assign_floors(
         classified_regions, columns, shapes.planes.geom, agent, settings, level_settings
     )

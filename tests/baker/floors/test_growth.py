@@ -3,14 +3,16 @@
 from unittest.mock import patch
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors import growth
 from navbake.baker.floors.growth import grow_levels
-from navbake.baker.floors.growth_kernels import NO_LEVEL, GrowingSurfaces
+from navbake.baker.floors.growth_kernels import BARRIER, NO_LEVEL, GrowingSurfaces
 from navbake.config.settings import AgentSettings
+from navbake.errors import SceneError
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import LEAST_CELLS, limit_threads
 
@@ -23,14 +25,31 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def draw(rng):
-    """Floors where one can stand, and in the neighbor cells the heights at which they may go on."""
+    """Floors where one can stand, and in the other cells surfaces, of which some are barriers.
+
+    Returns:
+        By cell: the height of the floor, NaN for none; heights of surfaces on no level; and whether
+        each of these is a barrier.
+    """
     floor = rng.choice(HEIGHTS, CELLS)
     floor[rng.random(CELLS) < rng.uniform(0.3, 1.0)] = np.nan
     options = [
         np.sort(rng.choice(HEIGHTS, rng.integers(0, 3))) if np.isnan(z) else np.empty(0)
         for z in floor
     ]
-    return floor, options
+    barrier_share = rng.choice([0.0, 0.3])
+    barriers = [rng.random(len(heights)) < barrier_share for heights in options]
+    return floor, options, barriers
+
+
+def drop_barriers(heights, is_barrier):
+    """The heights of a cell at which a floor may go on: not at a barrier, nor closely below one."""
+    return [
+        z
+        for k, z in enumerate(heights)
+        if not is_barrier[k]
+        and not (is_barrier[k + 1 :] & (heights[k + 1 :] - z <= STEP + LIMIT_SLACK)).any()
+    ]
 
 
 def neighbours(cell):
@@ -61,19 +80,19 @@ def grow_plainly(floor, options):
             ring[cell] = number
 
 
-def grow(floor, options):
+def grow(floor, options, barriers):
     """The floors and rings that grow from cells where one can stand."""
     stands = ~np.isnan(floor)
     heights = [floor[i : i + 1] if stands[i] else options[i] for i in range(CELLS)]
     end = np.cumsum([len(column) for column in heights])
     first = end - np.array([len(column) for column in heights])
-    z = np.concatenate(heights)
+    levels = [[0] if stands[i] else np.where(barriers[i], BARRIER, NO_LEVEL) for i in range(CELLS)]
     surfaces = GrowingSurfaces(
         lattice=LATTICE,
         first=first.astype(np.int32),
         end=end.astype(np.int32),
-        z=z,
-        level=np.repeat(np.where(stands, 0, NO_LEVEL), end - first).astype(np.int16),
+        z=np.concatenate(heights),
+        level=np.concatenate(levels).astype(np.int16),
     )
     agent = AgentSettings(height=1.0, traversable_floor_height=STEP)
     (floor_of_level,) = grow_levels(surfaces, num_levels=1, agent=agent)
@@ -84,9 +103,23 @@ def grow(floor, options):
 @given(seeds, st.sampled_from([1, 8, LEAST_CELLS]), st.sampled_from([1, 2, 4]))
 def test_floors_grow_as_ring_after_ring_of_all_cells(seed, least, threads):
     """Also where rings of few cells are divided among threads."""
-    floor, options = draw(np.random.default_rng(seed))
-    expected, rings = grow_plainly(floor, options)
+    floor, options, barriers = draw(np.random.default_rng(seed))
+    open_heights = [drop_barriers(*column) for column in zip(options, barriers, strict=True)]
+    expected, rings = grow_plainly(floor, open_heights)
     with limit_threads(threads), patch.object(growth, "LEAST_CELLS", least):
-        grown, ring = grow(floor, options)
+        grown, ring = grow(floor, options, barriers)
     assert np.array_equal(grown, expected, equal_nan=True)
     assert np.array_equal(ring, rings)
+
+
+def test_more_levels_than_their_numbers_can_tell_apart():
+    surfaces = GrowingSurfaces(
+        lattice=Lattice(0.0, 0.0, 0.1, 1, 1),
+        first=np.zeros(1, dtype=np.int32),
+        end=np.ones(1, dtype=np.int32),
+        z=np.zeros(1),
+        level=np.zeros(1, dtype=np.int16),
+    )
+    assert len(grow_levels(surfaces, growth.MAX_LEVELS, AgentSettings())) == growth.MAX_LEVELS
+    with pytest.raises(SceneError, match="expected at most 32767 levels, got 32768: raise"):
+        grow_levels(surfaces, growth.MAX_LEVELS + 1, AgentSettings())
