@@ -225,7 +225,7 @@ class Truth:
         too_near = (
             np.hypot(away_of_square[:, None], away_of_square) * cell < self.rules.shrink - SURE
         )
-        by_square = binary_erosion(mask, too_near)
+        by_square = mask & binary_erosion(mask, too_near)  # without shrinking, nothing is too near
         too_near = (np.hypot(away[:, None], away) - 0.5) * cell < self.rules.shrink - SURE
         by_center = binary_erosion(mask, too_near)
         least, most = by_square.sum() * cell**2, by_center.sum() * cell**2
