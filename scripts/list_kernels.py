@@ -105,7 +105,8 @@ def list_called() -> list[Any] | None:
         name = f"{kernel.__module__}.{kernel.__name__}".removeprefix("navbake.")
         files = list(Path(kernel.stats.cache_path).glob(f"*.{kernel.__name__}-*.nbc"))
         for signature in kernel.signatures:
-            size = sum(path.stat().st_size for path in files) / len(files)  # of other types, too
+            # the mean of all its files, whose names don't say for which types each is
+            size = sum(path.stat().st_size for path in files) / len(files)
             seconds = round((size / BYTES_PER_SECOND) ** GROWTH, 2)
             entries.append([name, seconds, [encode_type(of) for of in signature]])
     return entries

@@ -283,7 +283,7 @@ def replace_column_hits(
                 hit_arrays[i], first_old_hit, end_old_hit, new_hits.entries[i], new_hits.start
             )
 
-    # numpy copies long slices of several arrays at the same time
+    # numpy lets other threads run while it copies, so several arrays are copied at the same time
     run_in_chunks(replace_in_arrays, len(hit_arrays))
     return replace(columns, hits=ColumnHits(start, *hit_arrays))
 

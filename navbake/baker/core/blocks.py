@@ -64,7 +64,7 @@ class Blocks:
             pieces.append(cut_blocks.ravel())
         return np.concatenate(pieces)
 
-    def list_cells_of(self, is_selected: Bool) -> Int:
+    def list_cells_of_blocks(self, is_selected: Bool) -> Int:
         """List the ids of all cells of some blocks, ascending.
 
         Args:

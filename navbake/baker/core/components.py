@@ -102,10 +102,10 @@ class RowRuns(NamedTuple):
         return np.repeat(value_of_piece, np.diff(piece_bounds)).reshape(num_rows, num_cols)
 
     def merged_with(self, other: RowRuns) -> RowRuns:
-        """Return the runs of two arrays of one shape, none of whose runs overlap.
+        """Merge these runs with those of another array, in the order of rows and columns.
 
         Args:
-            other: the runs of the other array.
+            other: the runs of an array of the same shape; none overlaps one of these runs.
         """
         row = np.concatenate([self.row, other.row])
         first_col = np.concatenate([self.first_col, other.first_col])

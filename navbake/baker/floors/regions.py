@@ -349,7 +349,7 @@ class Regions:
         holds_region = np.zeros(self.blocks.num_blocks, dtype=np.bool_)
         is_component_selected = is_selected[self.region_of_component]
         holds_region[self.components.block_of_component[is_component_selected]] = True
-        cells = self.blocks.list_cells_of(holds_region)
+        cells = self.blocks.list_cells_of_blocks(holds_region)
         cell_index, surface_ids = expand_ranges(surfaces.first[cells], surfaces.end[cells])
         region = self.region_of(surface_ids)
         indices_in_regions = np.flatnonzero(is_selected[region])

@@ -207,17 +207,17 @@ def check_occupancy(
 
 
 def _are_ascending(cells: Int, floors: Float) -> bool:
-    """Return whether cells ascend, and floors in a cell that is repeated.
+    """Return whether cells ascend, and so do the floors of a cell that is listed several times.
 
     Args:
         cells: cell ids, shape (n,).
         floors: the height of a floor in each cell, shape (n,) [m].
     """
-    # few cells are repeated
-    not_above_last = np.flatnonzero(cells[1:] <= cells[:-1])
-    is_repeated = cells[not_above_last + 1] == cells[not_above_last]
-    is_floor_below_last = floors[not_above_last + 1] < floors[not_above_last]
-    return bool(np.all(is_repeated & ~is_floor_below_last))
+    # where the next cell is no higher; most are higher, so that few floors have to be compared
+    indices = np.flatnonzero(cells[1:] <= cells[:-1])
+    is_same_cell = cells[indices + 1] == cells[indices]
+    is_next_floor_lower = floors[indices + 1] < floors[indices]
+    return bool(np.all(is_same_cell & ~is_next_floor_lower))
 
 
 def _join_lists(

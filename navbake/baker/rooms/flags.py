@@ -260,7 +260,7 @@ def mark_edge(is_empty: Bool, is_outer_side: Bool) -> Bool:
     is_run_outer |= (runs.end_col == width) & is_right_outer
     is_component_outer = np.zeros(len(num_cells), dtype=np.bool_)
     is_component_outer[component_of_run[is_run_outer]] = True
-    # with what is beyond the sides
+    # with a border of one cell, for what lies beyond the sides
     is_outside = np.zeros((height + 2, width + 2), dtype=np.bool_)
     is_outside[[0, -1]] = is_outer_side[0][:, None]
     is_outside[:, [0, -1]] = is_outer_side[1]

@@ -134,7 +134,8 @@ def _mark_cavities(
     cell_size = flags.lattice.cell_size
     num_labels = len(level_index)
     area = runs.count_cells(runs.value, num_labels) * cell_size**2
-    # what touches a marked room is connected: marked rooms are a segment behind all others
+    # all marked rooms together count as one more segment, whose number is `num_labels`: segments
+    # that touch it are connected
     room_runs = find_row_runs(stack.stack(room_numbers) > 0)
     space_runs = runs.merged_with(
         room_runs._replace(value=np.full(len(room_runs.row), num_labels, dtype=np.int32))
@@ -247,7 +248,7 @@ def _unite_touching(runs: RowRuns, is_outdoors: Bool, is_bank: Bool) -> Int32:
     """
     bank_runs = find_row_runs(is_bank)
     bank_of_run, num_bank_cells = label_runs(bank_runs)
-    # nodes are the segments, and behind them the banks, on other cells
+    # nodes are the segments and then the banks; no cell is in a segment and in a bank
     node_runs = runs.merged_with(
         bank_runs._replace(value=bank_of_run + np.int32(len(is_outdoors) - 1))
     )

@@ -627,7 +627,8 @@ def measure_widest_places(
         label: the label of each cell, 0 for none, shape (height, width).
         runs: the runs of cells with one label in the rows of `label`.
         is_open: a mask of the cells without a wall, shape (height, width); all labelled cells are.
-        is_measured: by label, whether its area is measured, shape (labels,); at least one, not 0.
+        is_measured: by label, whether its area is measured, shape (labels,); at least one is, and
+            label 0 is not.
         reach: up to which distance from walls is measured, >= 0 [half cells].
 
     Returns:

@@ -250,5 +250,5 @@ def test_cells_of_some_blocks(share):
     row, col = np.divmod(np.arange(lattice.width * lattice.height), lattice.width)
     block = row // BLOCK * blocks.num_cols + col // BLOCK
     np.testing.assert_array_equal(
-        blocks.list_cells_of(is_selected), np.flatnonzero(is_selected[block])
+        blocks.list_cells_of_blocks(is_selected), np.flatnonzero(is_selected[block])
     )
