@@ -124,13 +124,16 @@ class GapWalls(NamedTuple):
         max_distance: for each gap, how far a wall may be from the centre of the last cell and still
             count as its end, shape (gaps,). The last cell is the gap's, or that of further gaps in
             line with it between the same two spaces (openings).
-        coded_distance: for each cell, backward and forward along the direction: the distance to the
-            wall plus 1; inf if there is no wall; 0 if no ray was cast yet; shape (cells, 2). See
-            `WallRays.measure`.
+        rays_of_cell: the index of each cell's two rays, 0 if none was cast from the cell, shape
+            (cells,).
+        coded_distance: for two rays, backward and forward along the direction: the distance to the
+            wall plus 1; inf if there is no wall; 0 if the ray was not cast yet; shape (pairs of
+            rays, 2). See `CastRays`.
     """
 
     end_distance: Float
     max_distance: Float
+    rays_of_cell: Int32
     coded_distance: Float
 
 
@@ -425,11 +428,10 @@ def measure_gaps(scan, gaps, gap_numbers, space_of_label, gap_walls):
                     opening_width = lines.opening_width[gap_index, side, depth_index, end]
                     cell = lines.opening_cell[gap_index, side, depth_index, end]
                     if opening_width > 0:
-                        needs_rays[gap_index] |= (
-                            cell >= 0 and gap_walls.coded_distance[cell, end] == 0.0
-                        )
+                        coded_distance = _coded_distance_from(gap_walls, cell, end)
+                        needs_rays[gap_index] |= coded_distance == 0.0
                         width += opening_width + _distance_to_wall(
-                            gap_walls.coded_distance, cell, end, gap_walls.max_distance[gap]
+                            coded_distance, gap_walls.max_distance[gap]
                         )
                     else:
                         width += gap_walls.end_distance[gap, end]
@@ -452,12 +454,9 @@ def measure_gaps(scan, gaps, gap_numbers, space_of_label, gap_walls):
                 length = 0.0
                 for end in range(2):
                     cell = lines.wall_cell[gap_index, side, depth_index, end]
-                    needs_rays[gap_index] |= (
-                        cell >= 0 and gap_walls.coded_distance[cell, end] == 0.0
-                    )
-                    length += _distance_to_wall(
-                        gap_walls.coded_distance, cell, end, MAX_WALL_DISTANCE
-                    )
+                    coded_distance = _coded_distance_from(gap_walls, cell, end)
+                    needs_rays[gap_index] |= coded_distance == 0.0
+                    length += _distance_to_wall(coded_distance, MAX_WALL_DISTANCE)
                 share = widths[side, depth_index] / (
                     lines.length[gap_index, side, depth_index] - 1 + length
                 )
@@ -506,20 +505,32 @@ def _limit_depth(scan, gaps, gap, side, depth_index):
 
 
 @subkernel(**NO_REFCOUNT)
-def _distance_to_wall(coded_distance, cell, end, max_distance):
-    """Return the distance of a cell's centre from the wall at one end of a line [columns].
-
-    It is half a column if there is no cell (-1), no wall, or no wall within `max_distance`.
+def _coded_distance_from(gap_walls, cell, end):
+    """Return the coded distance from a cell to a wall, see `GapWalls`; inf if there is no cell.
 
     Args:
-        coded_distance: see `GapWalls`.
+        gap_walls: a `GapWalls`.
         cell: id of the cell, or -1.
         end: the line's end, `FIRST_END` (the ray goes backward) or `LAST_END` (forward).
+    """
+    if cell < 0:
+        return np.inf
+    return gap_walls.coded_distance[gap_walls.rays_of_cell[cell], end]
+
+
+@subkernel(**NO_REFCOUNT)
+def _distance_to_wall(coded_distance, max_distance):
+    """Return the distance of a cell's centre from the wall at one end of a line [columns].
+
+    It is half a column if there is no wall, or no wall within `max_distance`.
+
+    Args:
+        coded_distance: the distance as it is coded in `GapWalls`.
         max_distance: a wall that is farther away does not count [columns].
     """
-    if cell < 0 or not 1.0 <= coded_distance[cell, end] <= max_distance + 1.0:
+    if not 1.0 <= coded_distance <= max_distance + 1.0:
         return 0.5
-    return coded_distance[cell, end] - 1.0
+    return coded_distance - 1.0
 
 
 @subkernel

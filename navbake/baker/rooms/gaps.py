@@ -707,7 +707,9 @@ class SpaceMerger:
                 else:
                     is_cast = needs_rays
                 cells = np.stack([lines.wall_cell[is_cast], lines.opening_cell[is_cast]])
-                self._rays.measure(direction, cells.reshape(-1, 2))
+                cast_rays = self._rays.measure(direction, cells.reshape(-1, 2))
+                gap_walls = gap_walls._replace(coded_distance=cast_rays.coded_distance)
+                self._walls[direction_number] = gap_walls
                 _, shares_to_walls, _, _ = kernels.measure_gaps(
                     scan, direction_gaps, gap_numbers[needs_rays], self.space_of_label, gap_walls
                 )
@@ -784,9 +786,17 @@ def _find_gap_walls(
     )
     end_cells = np.where(is_opening_continued, -1, middle_rows * len(shift) + end_cols)
     if rays is None:
-        coded_distance = np.full((scan.label.size, 2), 1.5)
+        rays_of_cell = np.zeros(scan.label.size, dtype=np.int32)
+        coded_distance = np.full((1, 2), 1.5)
     else:
-        coded_distance = rays.measure(direction, end_cells)
-    wall_distance = coded_distance[end_cells, [0, 1]] - 1.0
+        cast_rays = rays.measure(direction, end_cells)
+        rays_of_cell = cast_rays.rays_of_cell
+        coded_distance = cast_rays.coded_distance
+    wall_distance = coded_distance[rays_of_cell[end_cells], [0, 1]] - 1.0
     has_wall = (end_cells >= 0) & (wall_distance <= max_distance[:, None])
-    return GapWalls(np.where(has_wall, wall_distance, 0.5), max_distance, coded_distance)
+    return GapWalls(
+        end_distance=np.where(has_wall, wall_distance, 0.5),
+        max_distance=max_distance,
+        rays_of_cell=rays_of_cell,
+        coded_distance=coded_distance,
+    )

@@ -287,10 +287,9 @@ class _RoomAssignment:
             return
         for level_number, flags in enumerate(self._flags.levels):
             room_number = self.room_numbers[level_number]
-            label = np.where(
-                flags.is_open & (room_number == 0), marked_rooms.labels[level_number], 0
+            runs = find_row_runs(
+                np.where(flags.is_open & (room_number == 0), marked_rooms.labels[level_number], 0)
             )
-            runs = find_row_runs(label)
             new_room_number = np.zeros(len(marked_rooms.names) + 1, dtype=np.int32)  # by label
             num_cells = runs.count_cells(runs.value, len(new_room_number))
             for room_index in np.flatnonzero(num_cells[1:]).tolist():
@@ -302,7 +301,7 @@ class _RoomAssignment:
                     )
                 )
                 new_room_number[room_index + 1] = len(self.rooms)
-            room_number += runs.paint(new_room_number[runs.value], label.shape)
+            room_number += runs.paint(new_room_number[runs.value], room_number.shape)
             if source != "auto":
                 covered_labels = marked_rooms.covered_labels or marked_rooms.labels
                 room_under = self._room_under[level_number]
@@ -451,7 +450,9 @@ def make_room_table(
     for level_number, (room_of_cell, floor) in enumerate(zip(room_index, floors, strict=True)):
         runs = find_row_runs(room_of_cell)
         run_lengths = runs.end_col - runs.first_col
-        heights_in_micrometres = np.rint(floor[room_of_cell > 0] * MICROMETRES)
+        heights_in_micrometres = floor[room_of_cell > 0]
+        heights_in_micrometres *= MICROMETRES
+        np.rint(heights_in_micrometres, out=heights_in_micrometres)
         height_sums = np.add.reduceat(heights_in_micrometres, np.cumsum(run_lengths) - run_lengths)
         # Sums of whole numbers don't depend on their order. The mean column of a run of cells may
         # end in .5, so twice its sum is used.

@@ -126,8 +126,8 @@ def segment_by_gaps(
     row_slice, col_slice = window
     floor = level.floor[window]
     is_at_edge = level.is_at_edge[window]
-    is_open = np.ascontiguousarray(level.is_open[window])
-    is_hole = np.ascontiguousarray(level.is_hole[window])
+    is_open = level.is_open[window]
+    is_hole = level.is_hole[window]
     is_closed = np.zeros_like(is_open) if leaf_marks is None else leaf_marks.is_separating[window]
     if (is_open | is_hole).all():
         # gaps are between walls, and there is none
@@ -137,10 +137,11 @@ def segment_by_gaps(
         rays = None
         if walls is not None and lattice is not None:
             rays = WallRays(walls, lattice.cut(row_slice, col_slice), floor)
-        label, close_calls = _label_at_gaps(
+        runs, close_calls = _find_spaces_at_gaps(
             is_open, is_hole, cell_size, door_width, rays, is_closed
         )
         del rays  # which hold the walls in all directions
+        label = runs.paint(runs.value, is_open.shape)
     is_open = is_open & ~is_closed
     cells_beyond = np.empty((2, 0), dtype=np.int64)  # rows and columns in the window
     if leaf_marks is not None:
@@ -221,15 +222,18 @@ def label_undivided_floors(
     return segments
 
 
-def _label_at_gaps(
+def _find_spaces_at_gaps(
     is_open: Bool,
     is_hole: Bool,
     cell_size: float,
     door_width: float | None,
     rays: WallRays | None,
     is_closed: Bool,
-) -> tuple[Int32, list[CloseCall]]:
-    """Label the spaces between gaps, after the spaces on both sides of wide gaps were joined.
+) -> tuple[RowRuns, list[CloseCall]]:
+    """Find the spaces between gaps, after the spaces on both sides of wide gaps were joined.
+
+    They are runs of cells, and painted only when all that finds them is freed: that takes most of
+    a bake's memory.
 
     Args:
         is_open: cells with a floor and without a wall, shape (height, width).
@@ -241,15 +245,15 @@ def _label_at_gaps(
         is_closed: cells of the closed leaves that separate two spaces.
 
     Returns:
-        The label of each cell's space, 0 for none, shape (height, width); and the gaps that nearly
+        Runs of cells with the label of their space, some with 0 for none; and the gaps that nearly
         joined, or nearly separated, two spaces.
     """
     separated_spaces = find_gaps(is_open, is_hole, cell_size, door_width, rays, is_closed)
     space_merger = SpaceMerger(separated_spaces, cell_size, door_width, rays)
     space_merger.join_spaces()
     runs = separated_spaces.runs
-    label = runs.paint(space_merger.space_of_label[runs.value], is_open.shape)
-    return label, space_merger.list_close_calls()
+    runs = runs._replace(value=space_merger.space_of_label[runs.value])
+    return runs, space_merger.list_close_calls()
 
 
 def _label_spaces_behind(cells_beyond: Int, label: Int32, is_open: Bool) -> None:

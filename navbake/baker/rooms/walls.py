@@ -576,6 +576,60 @@ def from_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArra
 # ---------------------------------------------------------------- rays to walls
 
 
+class CastRays:
+    """The distances that rays measured so far from cells to walls, in one direction.
+
+    Rays are cast from one cell in a thousand, so the distances have a table of their own.
+
+    Attributes:
+        rays_of_cell: for each cell of the direction's scan, the index of its two rays in
+            `coded_distance`; 0 if none was cast from the cell, shape (cells,), int32.
+        coded_distance: for each pair of rays, that backward and that forward along the direction,
+            the distance in columns of the scan, plus 1; 0 where it has not been measured; inf for
+            no wall; shape (pairs, 2). The first pair is that of all cells without rays. Some pairs
+            at the end may be of no cell yet.
+    """
+
+    def __init__(self, num_cells: int) -> None:
+        """Begin without rays.
+
+        Args:
+            num_cells: the number of cells in the scan.
+        """
+        self.rays_of_cell = np.zeros(num_cells, dtype=np.int32)
+        self.coded_distance = np.zeros((1, 2))
+        self._num_pairs = 1
+
+    def is_unmeasured(self, cells: Int, ray_ends: Int) -> Bool:
+        """Return which rays have not been cast yet.
+
+        Args:
+            cells: the cells that the rays begin in, shape (n,).
+            ray_ends: 0 for a ray backward, 1 for one forward, shape (n,).
+        """
+        is_unmeasured: Bool = self.coded_distance[self.rays_of_cell[cells], ray_ends] == 0.0
+        return is_unmeasured
+
+    def add(self, cells: Int, ray_ends: Int, coded_distance: Float) -> None:
+        """Add what rays measured.
+
+        Args:
+            cells: the cells that the rays began in, shape (n,).
+            ray_ends: 0 for a ray backward, 1 for one forward, shape (n,).
+            coded_distance: what they measured, as in `coded_distance`, shape (n,).
+        """
+        new_cells = np.unique(cells[self.rays_of_cell[cells] == 0])
+        num_pairs = self._num_pairs + len(new_cells)
+        self.rays_of_cell[new_cells] = np.arange(self._num_pairs, num_pairs)
+        self._num_pairs = num_pairs
+        num_missing_pairs = num_pairs - len(self.coded_distance)
+        if num_missing_pairs > 0:
+            # at least twice as many, so that many small additions copy it a few times only
+            extra_pairs = np.zeros((max(num_missing_pairs, len(self.coded_distance)), 2))
+            self.coded_distance = np.concatenate([self.coded_distance, extra_pairs])
+        self.coded_distance[self.rays_of_cell[cells], ray_ends] = coded_distance
+
+
 class RotatedWalls(NamedTuple):
     """Walls, rotated so that a horizontal direction of walls becomes the z axis.
 
@@ -584,13 +638,12 @@ class RotatedWalls(NamedTuple):
     Attributes:
         axes: the frame's axes x, y and z as rows, in the world frame, shape (3, 3).
         tiled_walls: the walls in this frame, by tiles of the lattice.
-        coded_distance: the distances from cells to walls that were measured so far, see
-            `WallRays.measure`.
+        cast_rays: the distances from cells to walls that were measured so far.
     """
 
     axes: Float
     tiled_walls: TiledShapes
-    coded_distance: Float
+    cast_rays: CastRays
 
 
 class WallRays:
@@ -634,7 +687,7 @@ class WallRays:
         self._tiled = tile_shapes(walls, lattice.cut(rows, cols), TILE_MARGIN, triangles)
         self._rotated_walls = dict[tuple[bool, float], RotatedWalls]()
 
-    def measure(self, direction: WallDirection, cells: Int) -> Float:
+    def measure(self, direction: WallDirection, cells: Int) -> CastRays:
         """Measure distances from cells' centres to walls, backward and forward in a direction.
 
         Args:
@@ -643,16 +696,14 @@ class WallRays:
                 the first cell of a pair, and forward from the second; -1 for no ray.
 
         Returns:
-            All distances that were measured in this direction so far: for each cell of the scan,
-            that backward and that forward, shape (number of cells in the scan, 2). An entry is the
-            distance in columns of the scan, plus 1; 0 where no call has measured it; inf for no
-            wall. Later calls for the direction write into the same array.
+            All distances that were measured in this direction so far. Later calls for the direction
+            add to them.
         """
         walls = self._rotate(direction)
         ray_indices = np.nonzero(cells >= 0)
         ray_cells = cells[ray_indices]
         ray_ends = ray_indices[-1]
-        is_unmeasured = walls.coded_distance[ray_cells, ray_ends] == 0.0
+        is_unmeasured = walls.cast_rays.is_unmeasured(ray_cells, ray_ends)
         ray_cells = ray_cells[is_unmeasured]
         ray_ends = ray_ends[is_unmeasured]
         if len(ray_cells):
@@ -662,8 +713,8 @@ class WallRays:
                 rows, cols = np.divmod(ray_cells, self._floor.shape[1])
             distance, _ = self._cast(walls, rows, cols, ray_ends == 1, RAY_OFFSETS)
             column_length = direction.length_per_column * self._lattice.cell_size
-            walls.coded_distance[ray_cells, ray_ends] = distance / column_length + 1.0
-        return walls.coded_distance
+            walls.cast_rays.add(ray_cells, ray_ends, distance / column_length + 1.0)
+        return walls.cast_rays
 
     def find_points(self, is_open: Bool) -> tuple[WallPoints, int]:
         """Find points on walls by rays along the lattice's axes.
@@ -800,8 +851,7 @@ class WallRays:
             x, y = -ray_direction[::-1] if direction.is_swapped else ray_direction
             axes = np.array([[-y, x, 0.0], [0.0, 0.0, 1.0], [x, y, 0.0]])
             tiled_walls = replace(self._tiled, shapes=self._tiled.shapes.solids_in_frame(axes))
-            coded_distance = np.zeros((self._floor.size, 2))
-            self._rotated_walls[key] = RotatedWalls(axes, tiled_walls, coded_distance)
+            self._rotated_walls[key] = RotatedWalls(axes, tiled_walls, CastRays(self._floor.size))
         return self._rotated_walls[key]
 
 

@@ -19,6 +19,7 @@ from navbake.baker.rooms.gap_limits import (
 from navbake.baker.rooms.gaps import SpaceMerger, find_gaps, mark_lines_along
 from navbake.baker.rooms.walls import (
     RAY_HEIGHT,
+    CastRays,
     WallRays,
     both_scan_orders,
     find_directions,
@@ -272,11 +273,12 @@ def test_the_share_that_a_gap_has(angle):
             walls = kernels.GapWalls(
                 end_distance=np.full((len(chosen), 2), 0.5),
                 max_distance=np.full(len(chosen), MAX_WALL_DISTANCE),
-                coded_distance=np.full((scan.label.size, 2), 1.5),
+                rays_of_cell=np.zeros(scan.label.size, dtype=np.int32),
+                coded_distance=np.full((1, 2), 1.5),
             )
             lines, shares, waits, met = kernels.measure_gaps(scan, gaps, chosen, whole, walls)
             assert not waits.any()
-            unknown = walls._replace(coded_distance=np.zeros((scan.label.size, 2)))
+            unknown = walls._replace(coded_distance=np.zeros((1, 2)))
             waits = kernels.measure_gaps(scan, gaps, chosen, whole, unknown)[2]
             ends_at_wall = (lines.wall_cell >= 0).any(axis=(1, 2, 3))
             has_openings = (lines.opening_cell >= 0).any(axis=(1, 2, 3))
@@ -463,7 +465,11 @@ def test_rays_to_walls(as_mesh, is_cut, tmp_path):
             )
             sides = np.full((len(row), 2), -1)
             sides[:, int(is_after)] = cells
-            found = rays.measure(direction, sides)[cells, int(is_after)] - 1.0
+            cast_rays = rays.measure(direction, sides)
+            pairs = cast_rays.rays_of_cell[cells]
+            assert (pairs > 0).all()
+            assert not cast_rays.is_unmeasured(cells, np.full(len(cells), int(is_after))).any()
+            found = cast_rays.coded_distance[pairs, int(is_after)] - 1.0
             found = np.where(found <= MAX_WALL_DISTANCE, found, 0.5)
             way = step if is_after else -step
             here = lattice.positions(row, col)
@@ -475,6 +481,25 @@ def test_rays_to_walls(as_mesh, is_cut, tmp_path):
             np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-4)
             met += (nearest <= MAX_WALL_DISTANCE).sum()
     assert met > 100
+
+
+def test_measured_distances_are_those_of_a_table_of_all_cells():
+    """Rays are added in many small batches, some to a cell that has the other ray already."""
+    rng = np.random.default_rng(7)
+    cast_rays = CastRays(500)
+    table = np.zeros((500, 2))
+    for _ in range(60):
+        cells = rng.integers(0, 500, 9)
+        ray_ends = rng.integers(0, 2, 9)
+        is_unmeasured = cast_rays.is_unmeasured(cells, ray_ends)
+        assert (is_unmeasured == (table[cells, ray_ends] == 0.0)).all()
+        distance = np.where(cells % 5 == 0, np.inf, 1.0 + cells + ray_ends)
+        cast_rays.add(cells, ray_ends, distance)
+        table[cells, ray_ends] = distance
+        assert (cast_rays.coded_distance[cast_rays.rays_of_cell] == table).all()
+    num_pairs = np.count_nonzero(table.any(axis=1)) + 1
+    assert cast_rays.rays_of_cell.max() == num_pairs - 1
+    assert len(cast_rays.coded_distance) <= 2 * num_pairs
 
 
 def first_hits(plan, box, points, way):
