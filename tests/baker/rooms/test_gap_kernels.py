@@ -376,16 +376,16 @@ def test_distances_at_some_nodes(reach):
         np.testing.assert_array_equal(distances, every[tuple(nodes)])
 
 
-@pytest.mark.parametrize("both", [True, False])
+@pytest.mark.parametrize("only_doorways", [True, False])
 @pytest.mark.parametrize("angle", [7.0, 30.0, 45.0, 62.0, 100.0, 140.0])
-def test_gaps_near_a_wall_are_those_that_the_whole_lattice_shows(angle, both):
+def test_gaps_near_a_wall_are_those_that_the_whole_lattice_shows(angle, only_doorways):
     rng = np.random.default_rng(2)
     limits = kernels.GapLimits(
         max_width=10,
         widening_factor=WIDENING_FACTOR,
         min_widening=2.0,
         max_thickness=5,
-        marks_only_doorways=both,
+        marks_only_doorways=only_doorways,
     )
     shape = (150, 170)
     window = np.s_[70:84, 90:108]
