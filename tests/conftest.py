@@ -34,16 +34,25 @@ READER_FOLDERS = ("formats", "baker/readers", "voxels", "episodes")
 # come first, so that no process waits in the end for one that began with such a file late.
 LONG_FILES = (
     "batch/test_cluster.py",
-    "baker/bake/test_ground_truth.py",
+    "tensors/test_tensors.py",
+    "test_compiled.py",
+    "test_terminal.py",
+    "test_docs.py",
     "cli/test_batch.py",
     "batch/test_run.py",
+    "views/test_plot.py",
+    "baker/bake/test_ground_truth.py",
     "test_starts.py",
+    "test_examples.py",
+    "verifier/test_samples.py",
+    "test_imports.py",
+    "test_docs_site.py",
+    "cli/test_ask.py",
     "runtime/test_stand.py",
     "baker/bake/test_memory.py",
     "baker/bake/test_structure.py",
     "baker/bake/test_bad_input.py",
     "baker/bake/test_invariance.py",
-    "cli/test_ask.py",
 )
 
 
