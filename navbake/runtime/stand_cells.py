@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -33,7 +33,7 @@ from navbake.runtime.name_map import NO_ENTRY
 from navbake.runtime.places import snap_to_cells
 from navbake.runtime.search import NO_CELLS, Search
 from navbake.runtime.sight_lines import Obstructions, SightLines, trace_sight_lines
-from navbake.types import Bool, Float, Int
+from navbake.types import Bool, Float, Int, ScalarT
 
 NUM_HEADINGS = 64  # headings at which a footprint is tested
 HEADING_STEP = 2.0 * math.pi / NUM_HEADINGS  # [rad]
@@ -44,7 +44,6 @@ MAX_NAMES = 3  # how many names of things in between a sentence lists
 DISTANCE_DIGITS = 9  # decimal digits of distances that are compared
 MIDDLE_SLACK = 1e-9  # how near to the middle of a square a base stands in it [m]
 NO_NUMBERS = np.empty(0)
-Value = TypeVar("Value", bound=np.generic)
 
 
 class StandRules(NamedTuple):
@@ -103,7 +102,7 @@ class Window(NamedTuple):
     row_y: Float
     col_x: Float
 
-    def cut(self, layer: NDArray[Value]) -> NDArray[Value]:
+    def cut(self, layer: NDArray[ScalarT]) -> NDArray[ScalarT]:
         """Return the window's part of an array by flat id, shape (rows, cols)."""
         return layer[self.level_cells].reshape(-1, self.width)[self.rows, self.cols]
 

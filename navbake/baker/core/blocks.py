@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,7 @@ from navbake.baker.core.tiles import BLOCK
 from navbake.navgrid.lattice import Lattice
 from navbake.processes import give_back_memory
 from navbake.threads import LEAST_CELLS, run_in_chunks
-from navbake.types import Bool, Int
-
-ScalarT = TypeVar("ScalarT", bound=np.generic)
+from navbake.types import Bool, Int, ScalarT
 
 # How many rows of numbers the first call of a kernel in `list_rows` has room for
 FIRST_CAPACITY = 4096

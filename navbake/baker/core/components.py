@@ -5,15 +5,13 @@ scipy has such functions, but takes longer to load than the apartment takes to b
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.core.union_find import number_components
-from navbake.types import Int, Int32
-
-ScalarT = TypeVar("ScalarT", bound=np.generic)
+from navbake.types import Int, Int32, ScalarT
 
 
 def label_components(pairs: Int, num_nodes: int) -> Int32:

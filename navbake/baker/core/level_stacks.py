@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.types import Int
-
-ScalarT = TypeVar("ScalarT", bound=np.generic)
+from navbake.types import Int, ScalarT
 
 # A stack of small levels has up to this many cells: enough that the time of numpy's calls doesn't
 # count, and so few that its arrays need little memory. A larger level is a stack by itself

@@ -97,10 +97,21 @@ def bounding_window(is_marked: Bool) -> Window:
     Args:
         is_marked: shape (height, width), bool; at least one cell is marked.
     """
-    marked_rows = np.flatnonzero(is_marked.any(axis=1))
-    marked_cols = np.flatnonzero(is_marked.any(axis=0))
-    return slice(int(marked_rows[0]), int(marked_rows[-1]) + 1), slice(
-        int(marked_cols[0]), int(marked_cols[-1]) + 1
+    return window_of_cells(
+        np.flatnonzero(is_marked.any(axis=1)), np.flatnonzero(is_marked.any(axis=0))
+    )
+
+
+def window_of_cells(rows: Int, cols: Int) -> Window:
+    """Return the smallest window that holds some cells.
+
+    Args:
+        rows: the rows of the cells, in any order, at least one, shape (n,).
+        cols: their columns, shape (m,).
+    """
+    return (
+        slice(int(rows.min()), int(rows.max()) + 1),
+        slice(int(cols.min()), int(cols.max()) + 1),
     )
 
 

@@ -212,7 +212,7 @@ def mark_gaps(is_open, shift, is_near_wall, limits, marks):
     A run is a row of open cells along a line of the scan, from one closed cell to the next. In a
     doorway, several short runs lie side by side, with longer runs above and below them: all of
     their cells are marked `DOORWAY`. If the run on one side only is longer, the cells beside it are
-    marked `ONE_SIDED`, unless `limits.only_doorways`.
+    marked `ONE_SIDED`, unless `limits.marks_only_doorways`.
 
     Args:
         is_open: a mask of the open cells, shape (rows, cols), bool.

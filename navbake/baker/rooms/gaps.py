@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,9 +65,7 @@ from navbake.baker.rooms.walls import (
     from_scan_order,
 )
 from navbake.threads import run_beside
-from navbake.types import Bool, Int, Int32
-
-ScalarT = TypeVar("ScalarT", bound=np.generic)
+from navbake.types import Bool, Int, Int32, ScalarT
 
 
 class CloseCall(NamedTuple):

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from navbake.baker.core.components import label_components_2d
+from navbake.baker.core.windows import Window, grow_window, window_of_cells
 from navbake.baker.rooms.flags import LevelFlags
 from navbake.types import Bool, Float, Int, Int32
 
@@ -148,7 +149,7 @@ def _mark_frames(level: LevelFlags, leaf_cells: Bool, end_cells: Int) -> Bool:
     return is_frame
 
 
-def _window_near(cells: Int, shape: tuple[int, ...], cell_size: float) -> tuple[slice, slice]:
+def _window_near(cells: Int, shape: tuple[int, ...], cell_size: float) -> Window:
     """Return the rows and columns within `DETOUR_REACH` of a leaf's cells, cropped to the lattice.
 
     Args:
@@ -158,10 +159,7 @@ def _window_near(cells: Int, shape: tuple[int, ...], cell_size: float) -> tuple[
     """
     margin = math.ceil(DETOUR_REACH / cell_size)
     rows, cols = np.divmod(cells, shape[1])
-    return (
-        slice(max(int(rows.min()) - margin, 0), int(rows.max()) + margin + 1),
-        slice(max(int(cols.min()) - margin, 0), int(cols.max()) + margin + 1),
-    )
+    return grow_window(window_of_cells(rows, cols), margin, margin, shape)
 
 
 class _SpacesBetweenLeaves:
@@ -223,9 +221,7 @@ class _SpacesBetweenLeaves:
             self.is_barrier |= is_in_pocket
             self._label[is_in_pocket] = 0
 
-    def mark_separating_leaves(
-        self, cells_beyond: Int, windows: Sequence[tuple[slice, slice]]
-    ) -> Bool:
+    def mark_separating_leaves(self, cells_beyond: Int, windows: Sequence[Window]) -> Bool:
         """Mark the leaves that have different spaces on their two sides.
 
         The space of a side is the one that most lines of sight from this side reach. If both sides

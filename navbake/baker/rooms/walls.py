@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +17,13 @@ from navbake.baker.columns.columns import TiledShapes, cast_points, tile_shapes
 from navbake.baker.core.arrays import Facets
 from navbake.baker.core.blocks import join_arrays
 from navbake.baker.core.components import find_row_runs
-from navbake.baker.core.windows import Window, grow_window
+from navbake.baker.core.windows import Window, grow_window, window_of_cells
 from navbake.baker.geometry.shapes import Shapes, boxes_in_batches
 from navbake.baker.rooms import gap_kernels as kernels
 from navbake.baker.rooms.gap_limits import MAX_JAMB_DISTANCE, MAX_WALL_DISTANCE
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import run_beside, run_in_chunks
-from navbake.types import Bool, Float, Int, Int32
-
-ScalarT = TypeVar("ScalarT", bound=np.generic)
+from navbake.types import Bool, Float, Int, Int32, ScalarT
 
 MIN_CHUNK_COLUMNS = 64  # the fewest columns that one thread sweeps
 ROWS_PER_COPY = 64  # rows that are copied together to Fortran order
@@ -356,11 +354,7 @@ def _mark_near_points(
     if not len(row):
         return (slice(0, 0), slice(0, 0)), np.zeros((0, 0), dtype=np.bool_)
     reach = round(NEAR_WALL_DISTANCE / cell_size)
-    window_of_points = (
-        slice(int(row.min()), int(row.max()) + 1),
-        slice(int(col.min()), int(col.max()) + 1),
-    )
-    window = grow_window(window_of_points, reach, reach, shape)
+    window = grow_window(window_of_cells(row, col), reach, reach, shape)
     row_slice, col_slice = window
     is_point: Bool = np.zeros(
         (row_slice.stop - row_slice.start, col_slice.stop - col_slice.start), dtype=np.bool_

@@ -41,6 +41,17 @@ def blobs(rng, rows=38, cols=46, smooth=1.6, most=0.1):
     return noise > most * noise.std() - noise.std() / 2
 
 
+def gap_limits(max_width, only_doorways):
+    """Limits of gaps in a floor plan."""
+    return kernels.GapLimits(
+        max_width=max_width,
+        widening_factor=WIDENING_FACTOR,
+        min_widening=2.0,
+        max_thickness=5,
+        marks_only_doorways=only_doorways,
+    )
+
+
 def floor_plan(rng, rows=60, cols=70):
     """Rooms at random: walls with openings, and pillars."""
     is_open = np.ones((rows, cols), dtype=np.bool_)
@@ -94,16 +105,10 @@ def test_runs_are_as_long_as_lines_go_on(angle):
         assert not is_open[row, col] or marked[row, col] == has_mark
 
 
-@pytest.mark.parametrize("both", [True, False])
-def test_gaps_are_beside_longer_runs(both):
+@pytest.mark.parametrize("only_doorways", [True, False])
+def test_gaps_are_beside_longer_runs(only_doorways):
     rng = np.random.default_rng(1)
-    limits = kernels.GapLimits(
-        max_width=14,
-        widening_factor=WIDENING_FACTOR,
-        min_widening=2.0,
-        max_thickness=5,
-        marks_only_doorways=both,
-    )
+    limits = gap_limits(14, only_doorways)
     for _ in range(4):
         is_open = np.asfortranarray(floor_plan(rng))
         scanned = is_open, np.zeros(70, dtype=np.int64), np.ones_like(is_open)
@@ -121,7 +126,7 @@ def test_gaps_are_beside_longer_runs(both):
                 continue
             above = row > 0 and widens(here, lane[row - 1])
             below = row + 1 < len(lane) and widens(here, lane[row + 1])
-            if not both and (above or below):
+            if not only_doorways and (above or below):
                 expected[row, col] = max(expected[row, col], 1)
             if not above:
                 continue
@@ -380,13 +385,7 @@ def test_distances_at_some_nodes(reach):
 @pytest.mark.parametrize("angle", [7.0, 30.0, 45.0, 62.0, 100.0, 140.0])
 def test_gaps_near_a_wall_are_those_that_the_whole_lattice_shows(angle, only_doorways):
     rng = np.random.default_rng(2)
-    limits = kernels.GapLimits(
-        max_width=10,
-        widening_factor=WIDENING_FACTOR,
-        min_widening=2.0,
-        max_thickness=5,
-        marks_only_doorways=only_doorways,
-    )
+    limits = gap_limits(10, only_doorways)
     shape = (150, 170)
     window = np.s_[70:84, 90:108]
     is_near_wall = np.zeros(shape, dtype=np.bool_)
