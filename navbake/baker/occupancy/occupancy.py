@@ -346,15 +346,22 @@ def check_level_occupancy(
     # the floors of all levels, one level after the other
     cells_by_level = []
     heights_by_level = []
-    for level in floors.levels:
+    ceilings_by_level = []
+    for level, level_ceiling in zip(floors.levels, find_level_ceilings(floors), strict=True):
         level_heights = level.floor.ravel()[cells]
         has_floor = ~np.isnan(level_heights)
+        level_heights = level_heights[has_floor]
         cells_by_level.append(cells[has_floor])
-        heights_by_level.append(level_heights[has_floor])
+        heights_by_level.append(level_heights)
+        if wall_candidates is not None:
+            ceilings = level_heights + TOP_LEVEL_HEIGHT
+            np.minimum(ceilings, level_ceiling, out=ceilings)
+            np.maximum(ceilings, level_heights + agent.height, out=ceilings)
+            ceilings -= TOUCH_DEPTH
+            ceilings_by_level.append(ceilings)
     num_floors = [len(level_cells) for level_cells in cells_by_level]
     floor_cells = np.concatenate(cells_by_level)
     floor_heights = np.concatenate(heights_by_level)
-    ceiling = np.repeat(find_level_ceilings(floors), num_floors)
     # in ascending order of cells, and of heights in a cell, for the check
     order: Int | slice = slice(None)
     place_in_order: Int | slice = slice(None)
@@ -369,9 +376,8 @@ def check_level_occupancy(
     floor_heights = floor_heights[order]
     occupant_lists = NO_OCCUPANT_LISTS
     if wall_candidates is not None:
-        ceiling = np.minimum(ceiling[order], floor_heights + TOP_LEVEL_HEIGHT)
         occupant_lists = OccupantLists(
-            ceiling=np.maximum(ceiling, floor_heights + agent.height) - TOUCH_DEPTH,
+            ceiling=np.concatenate(ceilings_by_level)[order],
             list_start=np.empty(len(floor_cells), dtype=np.int32),
             floor_geom=np.empty(len(floor_cells), dtype=np.int32),
             gap_below=np.empty(len(floor_cells)),
