@@ -35,8 +35,7 @@ BYTES_PER_TEXT_BYTE = 4  # of memory that counts for a byte of unpacked JSON
 BYTES_PER_PIXEL = 6  # of memory: an image, a copy, and values
 MAX_SHOWN_CHARACTERS = 40  # characters of a wrong value that an error shows
 LEAF_TYPES = {str, int, bool, type(None)}  # of JSON values without children, except floats
-FAST_TYPES = LEAF_TYPES | {dict, list, tuple}  # of values that need no further check
-JSON_CLASSES = (str, int, float, dict, list, tuple)  # subclasses count as well
+JSON_CLASSES = (str, int, float, dict, list, tuple, type(None))  # subclasses count as well
 
 
 # ---------------------------------------------------------------- values and their locations
@@ -240,21 +239,22 @@ def check_json(value: JsonValue, place: JsonPath) -> JsonValue:
     """
     values_at_depth = [value]
     for _ in range(MAX_DEPTH):
-        if set(map(type, values_at_depth)) <= LEAF_TYPES:
+        value_types = set(map(type, values_at_depth))
+        if value_types <= LEAF_TYPES:
             return value
-        for entry in values_at_depth:
-            if type(entry) in FAST_TYPES:
-                continue
-            if isinstance(entry, float):
-                is_valid = math.isfinite(entry)
-            else:
-                is_valid = isinstance(entry, JSON_CLASSES)
-            if not is_valid:
-                _refuse_first_invalid(value, place)
-        objects = [entry for entry in values_at_depth if isinstance(entry, dict)]
+        floats = [entry for entry in values_at_depth if isinstance(entry, float)]
+        if not all(issubclass(value_type, JSON_CLASSES) for value_type in value_types) or not all(
+            map(math.isfinite, floats)
+        ):
+            _refuse_first_invalid(value, place)
+        container_types = {
+            value_type for value_type in value_types if issubclass(value_type, dict | list | tuple)
+        }
+        containers = [entry for entry in values_at_depth if type(entry) in container_types]
+        objects = [entry for entry in containers if isinstance(entry, dict)]
         if not set(map(type, chain.from_iterable(objects))) <= {str}:
             place.fail("expected strings as keys of objects, got others")
-        lists = [entry for entry in values_at_depth if isinstance(entry, list | tuple)]
+        lists = [entry for entry in containers if not isinstance(entry, dict)]
         values_at_depth = list(chain.from_iterable([*map(dict.values, objects), *lists]))
     place.fail(f"nested deeper than {MAX_DEPTH} levels")
 
@@ -266,7 +266,7 @@ def _refuse_first_invalid(value: JsonValue, place: JsonPath) -> None:
             _refuse_first_invalid(child, place[key if isinstance(key, int) else str(key)])
     elif isinstance(value, float) and not math.isfinite(value):
         place.refuse("a finite number", value)
-    elif value is not None and not isinstance(value, JSON_CLASSES):
+    elif not isinstance(value, JSON_CLASSES):
         place.fail(f"expected a JSON value, got one of Python's type {type(value).__name__}")
 
 

@@ -50,7 +50,7 @@ from navbake.formats.source import (
 from navbake.lazy import lazy
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import LEAST_EDGE, MAX_COORDINATE
-from navbake.navgrid.user_data import SharedEntries, UserData
+from navbake.navgrid.user_data import SharedEntries, UserData, without_garbage_collection
 from navbake.types import Json, JsonValue
 
 if TYPE_CHECKING:
@@ -78,6 +78,7 @@ CELLS_AT_ONCE = 1 << 16  # cells whose user data are encoded at once, to limit m
 # ---------------------------------------------------------------- reading
 
 
+@without_garbage_collection()
 def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
     """Read a NavGrid file, plain or gzipped (detected by its content).
 
@@ -300,7 +301,8 @@ def read_metadata(content: Json, place: JsonPath) -> Json:
         FormatError: the metadata are no object, or ``navbake`` or ``cellAttributes`` are broken.
     """
     metadata = check_optional_object(content, "metadata", place)
-    check_optional_object(metadata, "navbake", place["metadata"])
+    if metadata.get("navbake") is not None:
+        check_object(metadata["navbake"], place["metadata"]["navbake"])
     entries = metadata.get("cellAttributes")
     place = place["metadata"]["cellAttributes"]
     if not isinstance(entries, list | None):

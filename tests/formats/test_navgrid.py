@@ -263,6 +263,21 @@ def test_null_is_infinite_in_weights_and_nan_elsewhere_in_both_encodings():
     assert np.isinf(read(small(weights=raw)).levels[0].weights[0, 0])
 
 
+def test_numbers_of_arrays_are_those_of_the_file_however_large_or_mixed():
+    kinds = {
+        "whole": [0, -7, 2**53 + 1, -(2**63), 2**63 - 1, 255],
+        "beyond 64 bits with a sign": [2**64 - 1, 0, 1, 2, 3, 2**63],
+        "whole and others": [1, 0.1, -2.5, 3, 2**63, 1e300],
+        "missing": [None, 1, 2**60 + 1, None, 0.5, 2],
+    }
+    for kind, numbers in kinds.items():
+        expected = np.array([NAN if n is None else float(n) for n in numbers])
+        runs = [entry for number in numbers for entry in (number, 1)]
+        for data, encoding in ((numbers, "raw"), (runs, "rle")):
+            array = read(attribute(data, "float64", encoding)).levels[0].attributes["a"]
+            np.testing.assert_array_equal(array.ravel(), expected, err_msg=kind)
+
+
 def test_integral_floats_and_empty_runs_are_tolerated():
     content = attribute([7, 0, 1, 6.0, 9, 0], length=6.0)
     grid = read({**content, "width": 3.0, "height": 2.0})
