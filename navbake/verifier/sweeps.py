@@ -35,6 +35,7 @@ MIN_STRETCH_LENGTH = 1e-6  # shorter parts of a path, at a corner of cells, belo
 SAME_FLOOR_TOLERANCE = 1e-4  # parts of a path whose floors differ by less are swept as one [m]
 STRAIGHT_LINK_KINDS = ("drop", "jump")  # kinds of links that run straight between their stops
 CAR_MOVE_SPACING = 0.02  # distance between the positions of a lift's car that are checked [m]
+TOUCH_PLACE_LENGTH = 0.001  # length of the part of a path to which a touch is narrowed down [m]
 
 
 class PathStretch(NamedTuple):
@@ -58,9 +59,16 @@ class PathStretch(NamedTuple):
     level_number: int
 
 
-class SweptContact(NamedTuple):
-    """The id of the obstacle that a swept cylinder touches first, and the depth [m]."""
+class SweptTouch(NamedTuple):
+    """The first place of a stretch at which a swept cylinder touches an obstacle.
 
+    Attributes:
+        position: World x and y of the cylinder's axis, (2,) [m].
+        obstacle: The obstacle's id.
+        depth: How deep the cylinder runs into this obstacle on the whole stretch [m].
+    """
+
+    position: Float
     obstacle: int
     depth: float
 
@@ -151,24 +159,24 @@ class PathSweep:
         for stretch in self._split_path(path):
             free_range = HeightRange(stretch.highest_floor + step, stretch.lowest_floor + height)
             full_range = HeightRange(stretch.floor + step, stretch.floor + height)
-            contact = self._sweep_stretch(stretch, free_range)
-            if contact is not None:
-                finding = self._path_finding(stretch, free_range, contact)
+            if self._find_touched_obstacle(stretch, free_range) is not None:
+                finding = self._path_finding(stretch, free_range)
                 return PathContacts([finding], touches_near_ends)
             if not touches_near_ends and free_range != full_range:
-                touches_near_ends = self._sweep_stretch(stretch, full_range) is not None
+                touched_obstacle = self._find_touched_obstacle(stretch, full_range)
+                touches_near_ends = touched_obstacle is not None
         return PathContacts([], touches_near_ends)
 
-    def _path_finding(
-        self, stretch: PathStretch, height_range: HeightRange, contact: SweptContact
-    ) -> Finding:
+    def _path_finding(self, stretch: PathStretch, height_range: HeightRange) -> Finding:
         """Return the finding for a cylinder that touches something on a stretch of a path."""
-        name = self._probe.obstacles.geom_name(contact.obstacle)
-        depth = contact.depth + self._tolerance
-        x, y = ((stretch.begin + stretch.end) / 2).tolist()
+        touch = self._find_first_touch(stretch, height_range)
+        name = self._probe.obstacles.geom_name(touch.obstacle)
+        depth = touch.depth + self._tolerance
+        x, y = touch.position.tolist()
         row, col = self._grid.levels[stretch.level_number].lattice.rows_cols([x, y])
-        text = f"a cylinder of {self._radius:g} m on a path runs {depth:.4f} m into "
-        text += f"{name!r}, between {height_range.low:.3f} and {height_range.high:.3f} m"
+        text = f"a cylinder of {self._radius:g} m on a path touches {name!r} from this place on, "
+        text += f"up to {depth:.4f} m deep, "
+        text += f"between {height_range.low:.3f} and {height_range.high:.3f} m"
         return Finding(
             PATH_TOUCHES,
             level=stretch.level_number,
@@ -178,6 +186,37 @@ class PathSweep:
             geom=name,
             size=depth,
         )
+
+    def _find_first_touch(self, stretch: PathStretch, height_range: HeightRange) -> SweptTouch:
+        """Return the first place of a stretch at which the cylinder touches something.
+
+        The stretch is halved until the part that touches is shorter than `TOUCH_PLACE_LENGTH`.
+
+        Args:
+            stretch: A stretch on which the cylinder touches an obstacle.
+            height_range: The heights between which it touches.
+        """
+        part = stretch
+        while np.hypot(*(part.end - part.begin)) > TOUCH_PLACE_LENGTH:
+            middle = (part.begin + part.end) / 2
+            first_half = part._replace(end=middle)
+            second_half = part._replace(begin=middle)
+            if self._find_touched_obstacle(first_half, height_range) is not None:
+                part = first_half
+            elif self._find_touched_obstacle(second_half, height_range) is not None:
+                part = second_half
+            else:
+                break  # the touch is so slight that it depends on rounding
+        obstacle = self._find_touched_obstacle(part, height_range)
+        assert obstacle is not None
+        depths = [
+            self._probe.measure_depth(prism, center, obstacle)
+            for prism, center in self._swept_prisms(stretch, height_range)
+            if self._probe.find_contact(obstacle, prism, center) == TOUCHES
+        ]
+        position = (part.begin + part.end) / 2
+        # prisms of the whole stretch may touch by less than those of its part, by rounding
+        return SweptTouch(position, obstacle, max(depths, default=0.0))
 
     def _split_path(self, path: Path) -> list[PathStretch]:
         """Split a path at the edges of cells, and join stretches with the same floor.
@@ -245,39 +284,44 @@ class PathSweep:
                     stretches.append(stretch)
         return stretches
 
-    def _sweep_stretch(
-        self, stretch: PathStretch, height_range: HeightRange
-    ) -> SweptContact | None:
-        """Return the first obstacle between two heights that the cylinder touches on a stretch.
+    def _find_touched_obstacle(self, stretch: PathStretch, height_range: HeightRange) -> int | None:
+        """Return an obstacle that the cylinder touches on a stretch, between two heights."""
+        swept_prisms = self._swept_prisms(stretch, height_range)
+        if not swept_prisms:
+            return None
+        radius = self._radius - self._tolerance
+        low_corner = np.minimum(stretch.begin, stretch.end) - radius
+        high_corner = np.maximum(stretch.begin, stretch.end) + radius
+        obstacles = self._probe.obstacles.find_overlapping(
+            np.array([*low_corner, height_range.low + self._tolerance]),
+            np.array([*high_corner, height_range.high - self._tolerance]),
+        )
+        for obstacle in obstacles:
+            for prism, center in swept_prisms:
+                if self._probe.find_contact(obstacle, prism, center) == TOUCHES:
+                    return obstacle
+        return None
 
-        The swept volume is the union of the cylinder at both ends and a box between them.
+    def _swept_prisms(self, stretch: PathStretch, height_range: HeightRange) -> list[PlacedPrism]:
+        """Return the swept volume: the cylinder at both ends of a stretch, and a box between them.
+
+        It is empty where the heights leave nothing of the cylinder.
         """
         half_z = (height_range.high - height_range.low) / 2 - self._tolerance
+        if half_z <= 0:
+            return []
         radius = self._radius - self._tolerance
         middle_z = (height_range.low + height_range.high) / 2
-        if half_z <= 0:
-            return None
         stretch_vector = stretch.end - stretch.begin
         middle_xy = (stretch.begin + stretch.end) / 2
         yaw = float(np.arctan2(stretch_vector[1], stretch_vector[0]))
         cylinder = UprightPrism(radius, radius, half_z, True)
         box = UprightPrism(float(np.hypot(*stretch_vector)) / 2, radius, half_z, False, yaw)
-        swept_prisms = [
+        return [
             PlacedPrism(cylinder, np.array([*stretch.begin, middle_z])),
             PlacedPrism(cylinder, np.array([*stretch.end, middle_z])),
             PlacedPrism(box, np.array([*middle_xy, middle_z])),
         ]
-        low_corner = np.minimum(stretch.begin, stretch.end) - radius
-        high_corner = np.maximum(stretch.begin, stretch.end) + radius
-        obstacles = self._probe.obstacles.find_overlapping(
-            np.array([*low_corner, middle_z - half_z]), np.array([*high_corner, middle_z + half_z])
-        )
-        for obstacle in obstacles:
-            for prism, center in swept_prisms:
-                if self._probe.find_contact(obstacle, prism, center) == TOUCHES:
-                    depth = self._probe.measure_depth(prism, center, obstacle)
-                    return SweptContact(obstacle, depth)
-        return None
 
 
 def _has_same_floors(stretch: PathStretch, next_stretch: PathStretch) -> bool:

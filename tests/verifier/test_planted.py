@@ -109,6 +109,14 @@ def test_names_paths_that_touch(room):
     touching = list(report.of_kind(kinds.PATH_TOUCHES))
     assert {found.geom for found in touching} == {"table"}
     assert len(touching) == report.sweeps.touching > 0
+    # the cylinder touches the table where the finding is, and comes from beside it
+    x, y = np.array([found.position[:2] for found in touching]).T
+    outside_x = np.maximum(np.maximum(0.3 - x, x - 1.3), 0.0)
+    outside_y = np.maximum(np.maximum(-0.5 - y, y - 0.2), 0.0)
+    distances = np.hypot(outside_x, outside_y)
+    assert (distances < 0.1005).all()
+    assert (distances > 0.0985).sum() > len(touching) / 2  # others start or turn beside the table
+    assert all("touches 'table' from this place on" in found.text for found in touching)
 
 
 def test_names_an_inflation_that_closed_too_much(room):
