@@ -24,4 +24,4 @@ for room in grid.rooms:
 level = grid.levels[0]
 row, col = level.lattice.rows_cols((4.2, -0.5))
 print(f"the stair's floor at (4.2, -0.5) is {level.floor_height[row, col]:.2f} m high")
-print(f"at (1.5, -1.0) stands: {grid.blockers(1.5, -1.0, level=0)}")
+print(f"at (1.5, -1.0) stands: {grid.blockers((1.5, -1.0), level=0)}")

@@ -22,5 +22,27 @@ def format_position(position: Iterable[float]) -> str:
     Returns:
         The numbers with commas in between, such as ``1.5, -2, 0.25``.
     """
+    return ", ".join(map(format_coordinate, position))
+
+
+def format_coordinate(coordinate: float) -> str:
+    """Format a coordinate or a bound for a message, with six digits; it is never ``-0``.
+
+    Args:
+        coordinate: The coordinate, a finite number [m].
+
+    Returns:
+        The number to a micrometre, such as ``-2.25``.
+    """
     # a millionth of a metre is far below what positions are exact to
-    return ", ".join(f"{round(float(coordinate), 6) + 0.0:g}" for coordinate in position)
+    return f"{round(float(coordinate), 6) + 0.0:g}"
+
+
+def format_bounds(bounds: Iterable[float]) -> str:
+    """Format a rectangle for a message, such as ``x -5 to 5, y 0 to 4``.
+
+    Args:
+        bounds: Its lowest x and y, and its highest x and y, finite numbers [m].
+    """
+    x_min, y_min, x_max, y_max = map(format_coordinate, bounds)
+    return f"x {x_min} to {x_max}, y {y_min} to {y_max}"

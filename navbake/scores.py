@@ -48,9 +48,9 @@ from navbake.episodes.goals import (
 from navbake.errors import FormatError, QueryError
 from navbake.formats.npz import open_archive
 from navbake.formats.source import read_bytes, unpack
+from navbake.navgrid.cells import describe_outside
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.agents import fit_grid
-from navbake.runtime.no_path import describe_outside
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.places import snap_to_cells
 from navbake.types import Bool, Float, Json, Vector3

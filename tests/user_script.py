@@ -21,7 +21,7 @@ if place is not None:
     print(place.cell.row, place.floor, place.free, place.room, place.weight, place.island)
 print(grid.values_at("floor", positions), grid.values_at("free", positions))
 print(grid.values_at("room", positions), grid.values_at("clearance", positions))
-print(grid.position_of(grid.cells_at(positions)), grid.blockers(-1.0, -3.5))
+print(grid.position_of(grid.cells_at(positions)), grid.blockers((-1.0, -3.5)))
 
 # places, paths, and why there is none
 finder = navbake.PathFinder(grid)

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError, QueryError
+from navbake.lengths import format_bounds
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.lattice import CELL_SLACK, Lattice, count_cells
 from navbake.types import Bool, Float, Int
@@ -323,18 +324,12 @@ def place_squares(
     left_x, bottom_y, right_x, top_y = squares.bounds
     if left_x >= x_high or bottom_y >= y_high or right_x <= x_low or top_y <= y_low:
         raise QueryError(
-            f"the arena, {_format_bounds(squares.bounds)} m, lies beside the level: it spans "
-            f"{_format_bounds(level_bounds)} m",
+            f"the arena, {format_bounds(squares.bounds)} m, lies beside the level: it spans "
+            f"{format_bounds(level_bounds)} m",
             key="corner",
             value=(left_x, bottom_y),
         )
     return squares
-
-
-def _format_bounds(bounds: tuple[float, float, float, float]) -> str:
-    """Write the bounds of a lattice for messages."""
-    x_low, y_low, x_high, y_high = bounds
-    return f"x {x_low:g} to {x_high:g}, y {y_low:g} to {y_high:g}"
 
 
 def find_obstacles(level: SceneGrid2D, squares: Lattice) -> Bool:
@@ -584,7 +579,7 @@ class ExploredMap:
         raise _make_argument_error(
             "position",
             (x, y),
-            expected=f"a position within the arena, {_format_bounds(self.lattice.bounds)}",
+            expected=f"a position within the arena, {format_bounds(self.lattice.bounds)}",
             actual=f"({x:g}, {y:g})",
         )
 

@@ -134,14 +134,11 @@ def why(
     x, y, z, level = options.parse_place(place, "--at")
     nav_grid = navbake.load(grid)
     if z is not None:
-        cell = nav_grid.cell_at((x, y, z))
-        if cell is None:
-            raise QueryError(f"{place} is in no cell: it lies beside the grid, or below its floors")
-        level = cell.level
-    if level is None:
-        cell_facts = describe_column(nav_grid, x, y)
+        cell_facts = [nav_grid.describe_cell((x, y, z))]
+    elif level is not None:
+        cell_facts = [nav_grid.describe_cell((x, y), level)]
     else:
-        cell_facts = [nav_grid.describe_cell(x, y, level)]
+        cell_facts = describe_column(nav_grid, x, y)
     add_facts(scene_id=nav_grid.scene_id, cells=cell_facts)
     print_tables(*map(printing.make_cell_table, cell_facts))
 

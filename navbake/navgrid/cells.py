@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
 from navbake.known_names import suggest
+from navbake.lengths import format_bounds, format_coordinate
 from navbake.navgrid.grid import GridBase, NavGrid, SceneGrid2D
 from navbake.navgrid.islands import STEP_SLACK, islands_of, measure_clearance
 from navbake.navgrid.lattice import Cell as Cell
@@ -88,6 +89,29 @@ def cell_at(grid: GridBase, position: ArrayLike, level: int | None = None) -> Ce
         )
     cell = Cell(int(cells.level), int(cells.row), int(cells.col))
     return cell if cell.level >= 0 else None
+
+
+def describe_outside(grid: NavGrid, position: ArrayLike) -> str:
+    """Say where a position lies that is in no cell: beside the grid, or below its floors.
+
+    Args:
+        grid: The grid.
+        position: World x, y and maybe z [m], a position for which `cell_at` returns None.
+
+    Returns:
+        A clause whose subject is the position.
+    """
+    coordinates = np.asarray(position, dtype=np.float64)
+    level_bounds = np.array([level.lattice.bounds for level in grid.levels])
+    x_min, y_min = level_bounds[:, :2].min(axis=0)
+    x_max, y_max = level_bounds[:, 2:].max(axis=0)
+    if not (x_min <= coordinates[0] <= x_max and y_min <= coordinates[1] <= y_max):
+        return f"lies beside the grid, {format_bounds((x_min, y_min, x_max, y_max))}"
+    lowest_ground = min(level.ground for level in grid.levels)
+    if len(coordinates) == 3 and coordinates[2] < lowest_ground:
+        floor_text = f"lies below every floor, the lowest at z {format_coordinate(lowest_ground)}"
+        return f"{floor_text}: positions are x, y, z with z up [m]"
+    return "has no floor below it"
 
 
 def cells_at(grid: GridBase, positions: ArrayLike, level: int | None = None) -> Cells:

@@ -196,13 +196,13 @@ class GridMethods:
 
         return values_at(self._as_grid(), layer, positions, level)
 
-    def describe_cell(self, x: float, y: float, level: int | None = None) -> Json:
+    def describe_cell(self, position: ArrayLike, level: int | None = None) -> Json:
         """Describe the cell at a position in a dict that can be written as JSON.
 
         Args:
-            x: World x [m].
-            y: World y [m].
-            level: The level, 0 is the lowest; needed on a grid of several levels.
+            position: World x, y, z [m], shape (3,). x, y are enough with `level`, or on a grid of
+                one level.
+            level: The level of the cell, 0 is the lowest; z is then ignored. None to find it by z.
 
         Returns:
             ``level``, ``row``, ``col``, ``cell`` (its id, ``col + row * width``), ``center`` (world
@@ -214,27 +214,31 @@ class GridMethods:
             what blocks it in ``blockers``.
 
         Raises:
-            QueryError: The position is outside the level, or there is no such level.
+            QueryError: The level does not exist, or the position is not valid or in no cell.
         """
         from navbake.views.describe import describe_cell
 
-        return describe_cell(self._as_grid(), x, y, level)
+        return describe_cell(self._as_grid(), position, level)
 
-    def blockers(self, x: float, y: float, level: int | None = None) -> list[str]:
+    def blockers(self, position: ArrayLike, level: int | None = None) -> list[str]:
         """Return the sorted names of the things that block the cell at a position.
 
         Args:
-            x: World x [m].
-            y: World y [m].
-            level: The level, 0 is the lowest; needed on a grid of several levels.
+            position: World x, y, z [m], shape (3,). x, y are enough with `level`, or on a grid of
+                one level.
+            level: The level of the cell, 0 is the lowest; z is then ignored. None to find it by z.
 
         Returns:
             Names of doors, objects and walls; [] in a free cell, and where the grid has no names.
 
         Raises:
-            QueryError: The position is outside the level, or there is no such level.
+            QueryError: The level does not exist, or the position is not valid or in no cell.
+
+        Example:
+            >>> grid.blockers((-1.0, -3.5))
+            ['sofa']
         """
-        return list(self.describe_cell(x, y, level)["blockers"])
+        return list(self.describe_cell(position, level)["blockers"])
 
     # ---------------------------------------------------------------- grids made of the grid
 

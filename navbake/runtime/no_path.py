@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from navbake.known_names import list_first
 from navbake.lazy import lazy
 from navbake.lengths import format_length
-from navbake.navgrid.cells import place_in
+from navbake.navgrid.cells import describe_outside, place_in
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.agents import FLOOR_ROUNDING, fit_grid
 from navbake.runtime.flat_grid import STAIRS_RISE, list_doors_along
@@ -134,28 +134,6 @@ def _describe_blocked(search: Search, position: Float, cell: int) -> str:
         f"at {format_point(free_positions[nearest_index])}, {distances[nearest_index]:.2f} m away"
     )
     return f"{description}; the nearest free cell is {place_text}"
-
-
-def describe_outside(grid: NavGrid, position: Float) -> str:
-    """Say where a position lies that is in no cell: beside the grid, or below its floors.
-
-    Args:
-        grid: the grid.
-        position: world x, y and maybe z [m].
-
-    Returns:
-        A clause whose subject is the position.
-    """
-    level_bounds = np.array([level.lattice.bounds for level in grid.levels])
-    x_min, y_min = level_bounds[:, :2].min(axis=0)
-    x_max, y_max = level_bounds[:, 2:].max(axis=0)
-    if not (x_min <= position[0] <= x_max and y_min <= position[1] <= y_max):
-        return f"lies beside the grid, x {x_min:g} to {x_max:g}, y {y_min:g} to {y_max:g}"
-    lowest_ground = min(level.ground for level in grid.levels)
-    if len(position) == 3 and position[2] < lowest_ground:
-        floor_text = f"lies below every floor, the lowest at z {lowest_ground:g}"
-        return f"{floor_text}: positions are x, y, z with z up [m]"
-    return "has no floor below it"
 
 
 def _describe_islands(search: Search, start_cell: int, goal_cells: Int) -> tuple[str, Int | None]:
@@ -585,7 +563,7 @@ def _name_obstacles(search: Search, cells: Int) -> str:
     positions = flat.positions(blocked_cells)
     names: list[str] = []
     for (x, y, _), level in zip(positions.tolist(), levels.tolist(), strict=True):
-        names += grid.blockers(x, y, level)
+        names += grid.blockers((x, y), level)
     return list_first(list(dict.fromkeys(names)), MAX_NAMES)
 
 

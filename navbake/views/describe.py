@@ -8,10 +8,11 @@ from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
-from navbake.lengths import format_length
-from navbake.navgrid.cells import check_positions, place_at
+from navbake.lengths import format_bounds, format_length, format_position
+from navbake.navgrid.cells import check_positions, describe_outside, place_at
 from navbake.navgrid.colors import LINK, LINK_CLOSED, STAIRS
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import find_islands, group_steps
@@ -140,14 +141,13 @@ def _round_to_millionth(value: float) -> float:
     return round(float(value), 6) + 0.0  # + 0.0 turns -0.0 into 0.0
 
 
-def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -> Json:
+def describe_cell(grid: NavGrid, position: ArrayLike, level: int | None = None) -> Json:
     """Describe the cell at a position.
 
     Args:
         grid: a grid of one or several levels.
-        x: world x [m].
-        y: world y [m].
-        level: the number of the level, 0 is the lowest; None only for a grid of one level.
+        position: world x, y, z [m], shape (3,); x, y with a level or on a grid of one level.
+        level: the number of the level, 0 is the lowest; None to find it by z.
 
     Returns:
         - ``level``, ``row``, ``col``, ``cell`` (its id), ``center`` (world x, y [m])
@@ -162,13 +162,21 @@ def describe_cell(grid: NavGrid, x: float, y: float, level: int | None = None) -
         - ``blockers``: names of what blocks the cell, as far as they are known
 
     Raises:
-        QueryError: the position lies outside of the level.
+        QueryError: the level does not exist, or the position is not valid or in no cell.
     """
-    place = place_at(grid, (x, y), level)
+    place = place_at(grid, position, level)
     if place is None:
-        x0, y0, x1, y1 = grid.levels[level or 0].lattice.bounds
-        bounds_text = f"it spans x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
-        raise QueryError(f"{x:g}, {y:g} lies beside level {level or 0}: {bounds_text}")
+        coordinates = np.asarray(position, dtype=np.float64).tolist()
+        if level is None:
+            outside_text = describe_outside(grid, position)
+        else:
+            bounds_text = format_bounds(grid.levels[level].lattice.bounds)
+            outside_text = f"lies beside level {level}: it spans {bounds_text}"
+        raise QueryError(
+            f"{format_position(coordinates)} {outside_text}",
+            key="position",
+            value=tuple(coordinates),
+        )
     level_number, row, col = place.cell
     level_grid = grid.levels[level_number]
     cell_id = row * level_grid.width + col
@@ -232,7 +240,7 @@ def describe_column(grid: NavGrid, x: float, y: float) -> list[Json]:
     error_texts = []
     for level in range(len(grid.levels)):
         try:
-            cell_descriptions.append(describe_cell(grid, x, y, level))
+            cell_descriptions.append(describe_cell(grid, (x, y), level))
         except QueryError as error:
             error_texts.append(str(error))
     if not cell_descriptions:

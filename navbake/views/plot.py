@@ -19,6 +19,7 @@ from PIL import Image
 
 from navbake.errors import MissingDependencyError, QueryError, printable
 from navbake.formats.source import write_bytes
+from navbake.lengths import format_position
 from navbake.navgrid.cells import check_level
 from navbake.navgrid.colors import DOOR, LINK, ROUTE, STAND, TARGET, rgb_of
 from navbake.navgrid.grid import NavGrid
@@ -346,7 +347,8 @@ def _find_view_bounds(
     if bounds is None:
         return x_min, y_min, x_max, y_max
     wanted = tuple(map(float, bounds))
-    expected = f"x_min, y_min, x_max, y_max within {x_min:g}, {y_min:g}, {x_max:g}, {y_max:g} m"
+    bounds_text = format_position((x_min, y_min, x_max, y_max))
+    expected = f"x_min, y_min, x_max, y_max within {bounds_text} m"
     has_area = (
         len(wanted) == 4
         and np.isfinite(wanted).all()

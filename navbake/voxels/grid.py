@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import ConfigError, FormatError, QueryError
 from navbake.lazy import resolve
+from navbake.lengths import format_position
 from navbake.navgrid.lattice import CELL_SLACK, LEAST_EDGE, MAX_COORDINATE, count_cells
 from navbake.processes import measure_free_memory
 from navbake.types import Bool, Float, Int, Vector3
@@ -215,7 +216,7 @@ class VoxelGrid:
 
     def __repr__(self) -> str:
         shape = " × ".join(map(str, self.shape))
-        corner = ", ".join(f"{coordinate:g}" for coordinate in self.origin)
+        corner = format_position(self.origin)
         count = f"{np.count_nonzero(self.values):,} occupied"
         return f"VoxelGrid({shape} voxels of {self.res:g} m from ({corner}) on, {count})"
 

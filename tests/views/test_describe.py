@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import navbake
+from map_grids import small
 from navbake.cli.main import main
 from navbake.errors import QueryError
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
@@ -160,7 +161,7 @@ def grid():
 
 
 def test_free_cell_has_room_and_island_and_no_blockers(grid):
-    facts = grid.describe_cell(0.05, 0.55)
+    facts = grid.describe_cell((0.05, 0.55))
     assert facts["free"] and not facts["occupied"]
     assert facts["room"]["id"] == "hall"
     assert facts["island"] == 1
@@ -168,7 +169,7 @@ def test_free_cell_has_room_and_island_and_no_blockers(grid):
 
 
 def test_wall_is_named(grid):
-    facts = grid.describe_cell(-4.95, 0.0)
+    facts = grid.describe_cell((-4.95, 0.0))
     assert facts["walls"] and facts["blockers"] == facts["walls"]
     assert facts["room"] is None and facts["island"] is None
 
@@ -183,7 +184,7 @@ def test_furniture_is_named_by_its_body_and_lamps_above_block_nothing(grid):
     assert blocked
     for cell, entry in blocked[:50]:
         x, y = level.lattice.positions(*divmod(cell, level.width))
-        assert grid.blockers(x, y) == entry["blockers"]
+        assert grid.blockers((x, y)) == entry["blockers"]
 
 
 def test_every_occupied_cell_with_a_floor_says_what_blocks_it(grid):
@@ -196,14 +197,30 @@ def test_every_occupied_cell_with_a_floor_says_what_blocks_it(grid):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((99.0, 0.0), "99, 0 lies beside level 0: it spans x -5 to 5, y -4 to 4"),
-        ((float("nan"), 0.0), "finite numbers, got nan"),
-        ((0.0, 0.0, 3), "no level 3: expected 0 to 0"),
+        (((99.0, 0.0),), "^99, 0 lies beside the grid, x -5 to 5, y -4 to 4$"),
+        (((99.0, 0.0), 0), "^99, 0 lies beside level 0: it spans x -5 to 5, y -4 to 4$"),
+        (((0.0, 0.0, -1.0),), "^0, 0, -1 lies below every floor, the lowest at z 0: positions"),
+        (((float("nan"), 0.0),), "finite numbers, got nan"),
+        (((0.0, 0.0), 3), "no level 3: expected 0 to 0"),
+        (
+            (0.0, 0.0),
+            r"^expected a position in one argument, as in \(1\.5, -2\.0\), got 0\.0, 0\.0$",
+        ),
     ],
 )
 def test_wrong_questions_are_refused(grid, arguments, message):
     with pytest.raises(QueryError, match=message):
         grid.describe_cell(*arguments)
+
+
+def test_bounds_are_told_to_a_micrometre():
+    level = small(y_max=0.3)
+    assert level.lattice.bounds[1] != 0.0 == round(level.lattice.bounds[1], 6)
+    expected_text = "99, 0 lies beside the grid, x -3.7 to -3.2, y 0 to 0.3"
+    with pytest.raises(QueryError, match=f"^{expected_text}$"):
+        level.blockers((99.0, 0.0))
+    reason = navbake.PathFinder(level).why_not((-3.65, 0.25), (99.0, 0.0))
+    assert "lies beside the grid, x -3.7 to -3.2, y 0 to 0.3" in reason
 
 
 def ask_house(capsys, at, *options):
@@ -216,7 +233,7 @@ def ask_house(capsys, at, *options):
 def test_command_tells_of_each_level_unless_one_is_given(capsys):
     places = json.loads(ask_house(capsys, "1,1", "--json"))["cells"]
     assert [place["level"] for place in places] == [0, 1]
-    assert places == [navbake.load(HOUSE_FILE).describe_cell(1, 1, level) for level in (0, 1)]
+    assert places == [navbake.load(HOUSE_FILE).describe_cell((1, 1), level) for level in (0, 1)]
     assert json.loads(ask_house(capsys, "1,1,L1", "--json"))["cells"] == [places[1]]
     assert ask_house(capsys, "1,1").count("verdict") == 2
     assert ask_house(capsys, "1,1,L1").count("verdict") == 1
@@ -224,7 +241,18 @@ def test_command_tells_of_each_level_unless_one_is_given(capsys):
 
 def test_no_level_is_guessed_where_there_are_several():
     with pytest.raises(QueryError, match="or a level, got x, y: the grid has 2 levels, 0 to 1"):
-        navbake.load(HOUSE_FILE).blockers(1, 1)
+        navbake.load(HOUSE_FILE).blockers((1, 1))
+
+
+def test_a_position_on_several_levels_is_on_the_floor_below_it():
+    house = navbake.load(HOUSE_FILE)
+    for number, level in enumerate(house.levels):
+        row, col = np.argwhere((level.occupancy == 1) & ~np.isnan(level.floor))[0].tolist()
+        position = house.position_of((number, row, col))
+        facts = house.describe_cell(position)
+        assert (facts["level"], facts["row"], facts["col"]) == (number, row, col)
+        assert facts == house.describe_cell(position, number)
+        assert house.blockers(position) == facts["blockers"] != []
 
 
 def test_a_level_that_does_not_span_the_place_is_left_out():
@@ -244,4 +272,4 @@ def test_islands_of_the_file_are_not_sought_again():
     row, col = (int(v[0]) for v in level.free.nonzero())
     level.attributes["island"][row, col] = 77  # so that an answer tells where it comes from
     x, y = level.lattice.positions(row, col)
-    assert grid.describe_cell(x, y, 1)["island"] == 77
+    assert grid.describe_cell((x, y), 1)["island"] == 77

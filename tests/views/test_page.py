@@ -69,12 +69,12 @@ def test_a_reader_looks_at_two_grids(page, house, width, dark):
         for number, level in enumerate(house.levels):
             press(driver, "levels", house.level_names[number])
             wait_until(lambda: driver.execute_script("return Boolean(level().unpacked)"), "cells")
-            cell = house.describe_cell(*at_blocked(house, number), number)
+            cell = house.describe_cell(at_blocked(house, number), number)
             words = told(driver, *cell["center"])
             assert f"row {cell['row']}, col {cell['col']}, cell {cell['cell']}" in words
             assert "blocked" in words
             assert all(name in words for name in cell["blockers"])
-            free = house.describe_cell(*at_free(level), number)
+            free = house.describe_cell(at_free(level), number)
             words = told(driver, *free["center"])
             assert f"floor {free['floor']:.3f} m, free" in words
         colors = {}
@@ -104,7 +104,7 @@ def test_a_reader_looks_at_two_grids(page, house, width, dark):
         press(driver, "layers", "occupancy")
         assert driver.execute_script("return getComputedStyle(canvas).filter") == "none"
         assert sum(driver.execute_script(LOOK, *free["center"])[:3]) > 600
-        blocked = house.describe_cell(*at_blocked(house, 0), 0)
+        blocked = house.describe_cell(at_blocked(house, 0), 0)
         assert sum(driver.execute_script(LOOK, *blocked["center"])[:3]) < 300
 
 

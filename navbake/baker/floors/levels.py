@@ -56,6 +56,7 @@ from navbake.baker.floors.surfaces import find_surfaces
 from navbake.baker.geometry.shapes import Shapes
 from navbake.config.settings import AgentSettings, FloorSettings, LevelSettings
 from navbake.errors import SceneError
+from navbake.lengths import format_coordinate
 from navbake.types import Bool, Float, Int, Int32
 
 
@@ -621,7 +622,8 @@ def _explain_no_floor_on(
         highest_z = max(highest_z, chunk.z.max(initial=-np.inf))
     return (
         f"no floor on {name} (ground {level_setting.ground:g} m, top {top:g} m) of `levels`: "
-        f"the scene's surfaces span {lowest_z:g} to {highest_z:g} m"
+        f"the scene's surfaces span {format_coordinate(lowest_z)} to "
+        f"{format_coordinate(highest_z)} m"
     )
 
 

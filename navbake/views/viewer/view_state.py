@@ -755,7 +755,7 @@ class ViewState:
         if inspected_cell is None or choices.click != INSPECT_TEXT:
             return None
         x, y, z = inspected_cell.position
-        facts = self.shown_grid(choices).describe_cell(x, y, inspected_cell.cell.level)
+        facts = self.shown_grid(choices).describe_cell((x, y), inspected_cell.cell.level)
         clicked_name = None
         highlighted_triangles = np.empty((0, 3, 3), np.float32)
         drawing = self.drawing(choices)

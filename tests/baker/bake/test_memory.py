@@ -213,13 +213,13 @@ def test_id_is_the_name_of_the_model():
 def test_mesh_scene_has_the_names_of_its_nodes():
     scene = room_of_meshes()
     grid = navbake.bake(scene)
-    assert grid.blockers(0.0, 0.0) == ["table"]
+    assert grid.blockers((0.0, 0.0)) == ["table"]
     assert_true(grid, scene, sample=200)
     joined = scene.to_geometry()
     bare = navbake.bake(trimesh.Trimesh(joined.vertices, joined.faces), exclude={"movable": True})
-    assert bare.blockers(0.0, 0.0) == [bare.scene_id] == ["scene"]
+    assert bare.blockers((0.0, 0.0)) == [bare.scene_id] == ["scene"]
     assert (bare.occupancy == grid.occupancy).all()
-    assert navbake.bake(scene, robot="table").blockers(0.0, 0.0) == []
+    assert navbake.bake(scene, robot="table").blockers((0.0, 0.0)) == []
 
 
 def test_mesh_scene_lies_as_the_settings_say():

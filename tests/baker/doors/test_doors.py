@@ -106,7 +106,7 @@ def test_open_leaf_blocks_where_it_stands(bake):
     grid = bake(ROOMS, LEAF).with_doors({"leaf": "open"})
     row, col = grid.lattice.rows_cols([2.5, 1.06])
     assert grid.occupancy[row, col] == 1
-    assert grid.blockers(2.5, 1.06) == ["leaf"]
+    assert grid.blockers((2.5, 1.06)) == ["leaf"]
 
 
 def test_state_that_is_modelled_is_that_of_the_pose(bake):
@@ -126,7 +126,7 @@ def test_with_doors_leaves_the_grid_alone(bake):
 def test_a_leaf_that_cannot_move_is_a_wall_where_nobody_looks_for_doors(bake):
     for settings, is_wall in (({}, False), ({"doors": {"find": False}}, True)):
         grid = bake(ROOMS, FIXED_LEAF, **settings)
-        facts = grid.describe_cell(3.01, 1.51)
+        facts = grid.describe_cell((3.01, 1.51))
         assert facts["walls"] == (["leaf"] if is_wall else [])
         assert (facts["room"] is None) == is_wall
 
@@ -179,7 +179,7 @@ def test_cells_in_a_door_carry_its_name(bake):
 def test_what_hangs_over_a_door_does_not_block(bake):
     lamp = '<body name="lamp" pos="3 1.5 2.2"><geom type="sphere" size="0.15"/></body>'
     for grid in (bake(ROOMS, LEAF, lamp), bake(ROOMS, LEAF, lamp).with_doors("open")):
-        facts = grid.describe_cell(3.01, 1.51)
+        facts = grid.describe_cell((3.01, 1.51))
         assert facts["doors"] == ["leaf"]
         assert "lamp" in facts["objects"]
         is_closed = not facts["free"]
@@ -202,7 +202,7 @@ def test_without_names_no_state_has_any(bake):
 def test_cupboard_door_belongs_to_the_cupboard(bake):
     grid = bake(ROOMS, LEAF, CUPBOARD)
     assert [door.id for door in grid.doors] == ["leaf"]
-    facts = grid.describe_cell(5.58, 2.6)
+    facts = grid.describe_cell((5.58, 2.6))
     assert facts["blockers"] == facts["objects"] == ["cupboard"]
     assert facts["doors"] == []
     assert facts["floor"] == 0.0
@@ -225,12 +225,12 @@ def test_what_is_no_door_is_as_if_nobody_looked_for_doors(bake, things):
 @pytest.mark.parametrize(("movable", "floor"), [([], 0.0), (["stage"], 0.2)])
 def test_a_stage_that_looks_like_a_door_carries_a_floor_if_it_is_named(bake, movable, floor):
     grid = bake(SHELL, STAGE, floors={"movable": movable})
-    facts = grid.describe_cell(1.5, 1.5)
+    facts = grid.describe_cell((1.5, 1.5))
     assert grid.doors == ()
     assert facts["floor"] == pytest.approx(floor)
     assert facts["free"]  # a step leads onto the stage
     assert facts["objects"] == ["stage"]
-    assert grid.blockers(0.95, 1.5) == ["stage"]  # its backdrop
+    assert grid.blockers((0.95, 1.5)) == ["stage"]  # its backdrop
 
 
 @pytest.mark.parametrize("stage", ["find_rooms", "classify_leaves"])

@@ -148,9 +148,9 @@ def test_names_that_are_not_utf_8(tmp_path, suffix):
     ]
     assert {door.joint for door in grid.doors} == {"p\ufffd"}
     assert "\ufffdcran" in {room.name for room in grid.rooms}
-    assert grid.blockers(5.0, 2.0) == ["arm\ufffd"]
-    assert grid.blockers(3.0, 1.5) == ["port\ufffd (body 1)"]
-    assert grid.with_doors({"port\ufffd (body 1)": "open"}).blockers(3.0, 1.65) == []
+    assert grid.blockers((5.0, 2.0)) == ["arm\ufffd"]
+    assert grid.blockers((3.0, 1.5)) == ["port\ufffd (body 1)"]
+    assert grid.with_doors({"port\ufffd (body 1)": "open"}).blockers((3.0, 1.65)) == []
     assert [text for text in result.warnings if "porte" in text and "near" in text]
 
 

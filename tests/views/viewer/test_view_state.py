@@ -100,7 +100,7 @@ def test_a_click_a_little_inside_a_wall_counts_as_beside_it(room, chosen):
 
 def test_a_cell_tells_what_blocks_it_and_that_is_lit(room, chosen):
     inspection = room.inspect(replace(chosen, inspected=at(room, 1.02, 0.52, geom=4)))
-    assert inspection.facts.items() >= room.grid.describe_cell(1.02, 0.52, 0).items()
+    assert inspection.facts.items() >= room.grid.describe_cell((1.02, 0.52), 0).items()
     assert inspection.clicked == "table"
     text = texts.describe_inspection(inspection, None)
     assert "**blocked** by <code>table</code>" in text
