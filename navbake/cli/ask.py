@@ -189,9 +189,15 @@ def path(
     is_named = any(goal.startswith(NAME_PREFIXES) for goal in goals)
     if len(goals) > 1 and is_named:
         raise BadParameter("several goals have to be positions", param_hint="--to")
-    start_place = None if start.startswith("room:") else options.parse_place(start, "--from")
-    goal_places = [] if is_named else [options.parse_place(text, "--to") for text in goals]
     nav_grid = navbake.load(grid)
+    start_place = None
+    if not start.startswith("room:"):
+        start_place = options.parse_place(start, "--from", nav_grid)
+    goal_places = []
+    if not is_named:
+        goal_places = [
+            options.parse_place(text, "--to", nav_grid, with_objects=True) for text in goals
+        ]
     if opened or closed:
         state_by_link = dict.fromkeys(opened or (), "open") | dict.fromkeys(closed or (), "closed")
         nav_grid = nav_grid.with_links(state_by_link)

@@ -23,10 +23,11 @@ from typer.core import TyperCommand
 
 from navbake import files, samples
 from navbake.cli import printing
-from navbake.cli.completion import list_levels, list_scenes
+from navbake.cli.completion import list_levels, list_scenes, object_names, room_names
 from navbake.cli.printing import VERBOSITY, print_error, use_verbosity
-from navbake.errors import ConfigError, NavbakeError
+from navbake.errors import ConfigError, NavbakeError, printable
 from navbake.formats.source import write_bytes
+from navbake.known_names import find_similar_names
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -560,20 +561,23 @@ class TypedPlace(NamedTuple):
     level: int | None  # number of the level, 0 is the lowest
 
 
-def parse_place(text: str, option: str) -> TypedPlace:
+def parse_place(
+    text: str, option: str, grid: NavGrid | None = None, *, with_objects: bool = False
+) -> TypedPlace:
     """Parse a place.
 
     Args:
         text: ``x,y``, ``x,y,z`` or ``x,y,L1``.
         option: the name of the option that gives the text, for errors.
+        grid: the grid whose rooms the error offers; None where the option takes places alone.
+        with_objects: whether the option also takes objects, so that the error offers them, too.
 
     Raises:
         BadParameter: the text has another form, or a number is not finite.
     """
     place_match = PLACE_PATTERN.fullmatch(text)
     if not place_match:
-        name = text if text.isidentifier() else "NAME"
-        hint = f"; a room is written room:{name}" if option != "--at" else ""
+        hint = "" if grid is None else _hint_at_name(text, grid, with_objects)
         message = f"expected {PLACE} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text!r}{hint}"
         raise BadParameter(message, param_hint=option)
     x = float(place_match[1])
@@ -583,6 +587,20 @@ def parse_place(text: str, option: str) -> TypedPlace:
     if not all(map(math.isfinite, (x, y, z or 0.0))):
         raise BadParameter(f"expected finite numbers, got {text!r}", param_hint=option)
     return TypedPlace(x or 0.0, y or 0.0, z, level)  # no -0.0
+
+
+def _hint_at_name(text: str, grid: NavGrid, with_objects: bool) -> str:
+    """Write a hint for a text that is no place, such as ``; did you mean room:hall?``."""
+    names_by_place = {f"room:{name}": name for name in room_names(grid)}
+    written_text = "a room is written room:NAME"
+    if with_objects:
+        names_by_place |= {f"object:{name}": name for name in object_names(grid)}
+        written_text += ", an object object:NAME"
+    similar_names = find_similar_names(text, names_by_place.values())
+    for place_text, name in names_by_place.items():
+        if name in similar_names:
+            return f"; did you mean {printable(place_text)}? {written_text}"
+    return f"; {written_text}"
 
 
 def position_of_place(grid: NavGrid, place: TypedPlace, option: str) -> list[float]:
