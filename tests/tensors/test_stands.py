@@ -92,14 +92,18 @@ def test_unknown_targets_and_scenes_have_no_poses(case):
     xp, grid = library(name), room()
     t = tensors.with_stands(grid.tensors(xp, dtype=dtype), ["object:box"], reach=REACH)
     numbers = xp.asarray([0, 1, -1])
-    positions, yaw = tensors.sample_stand(t, given(xp, [0.5, 0.5, 0.5], dtype), numbers)
+    draw = compiled(xp, lambda u, target: tensors.sample_stand(t, u, target))
+    test = compiled(xp, lambda p, yaw, target: tensors.can_reach(t, p, yaw, target))
+    positions, yaw = draw(given(xp, [0.5, 0.5, 0.5], dtype), numbers)
     assert np.isnan(shown(positions)[:, 0]).tolist() == [False, True, True]
     assert np.isnan(shown(yaw)).tolist() == [False, True, True]
-    known = tensors.can_reach(t, xp.stack([positions[0, ...]] * 3), xp.stack([yaw[0]] * 3), numbers)
+    known = test(xp.stack([positions[0, ...]] * 3), xp.stack([yaw[0]] * 3), numbers)
     assert shown(known).tolist() == [True, False, False]
-    positions, _ = tensors.sample_stand(t, given(xp, [0.0, np.nan, 1.0 - 1e-7], dtype))
+    draw = compiled(xp, lambda u: tensors.sample_stand(t, u))
+    positions, _ = draw(given(xp, [0.0, np.nan, 1.0 - 1e-7], dtype))
     assert np.isnan(shown(positions)[:, 0]).tolist() == [False, True, False]
-    assert not shown(tensors.can_reach(t, positions[1:2, ...], yaw[:1])).any()
+    test = compiled(xp, lambda p, yaw: tensors.can_reach(t, p, yaw))
+    assert not shown(test(positions[1:2, ...], yaw[:1])).any()
 
 
 def test_jax_draws_for_each_environment_and_takes_tensors_as_an_argument():

@@ -242,9 +242,8 @@ def test_no_beam_passes_between_squares_that_share_a_corner(case):
     t = grid.tensors(xp, dtype=dtype)
     centers = [(0.05, -0.05, 0.0), (0.15, -0.15, 0.0), (0.25, -0.25, 0.0), (0.35, -0.35, 0.0)]
     yaw = np.deg2rad([-45.0, -45.0, 135.0, 135.0])
-    found = tensors.ranges(
-        t, given(xp, centers, dtype), given(xp, yaw, dtype), given(xp, [0.0], dtype), 5.0
-    )
+    scan = compiled(xp, lambda p, yaw: tensors.ranges(t, p, yaw, given(xp, [0.0], dtype), 5.0))
+    found = scan(given(xp, centers, dtype), given(xp, yaw, dtype))
     half_diagonal = 0.05 * 2**0.5
     expected = np.array([3, 1, 1, 3]) * half_diagonal
     np.testing.assert_allclose(shown(found)[:, 0], expected, atol=1e-6)
@@ -297,13 +296,17 @@ def test_samples_are_where_they_were_asked_for(case, seed):
     finder, rng = PathFinder(grid), np.random.default_rng(seed)
     t = grid.tensors(xp, dtype=dtype)
     u = given(xp, np.nextafter(rng.random((500, 3)).astype(dtype), np.asarray(0, dtype)), dtype)
-    drawn = shown(tensors.sample(t, u)).astype(np.float64)
+    draw = compiled(xp, lambda u: tensors.sample(t, u))
+    drawn = shown(draw(u)).astype(np.float64)
     assert finder.is_navigable(drawn).all()
     starts = given(xp, finder.random_point(rng, 500), dtype)
-    drawn = tensors.sample(t, u, reachable_from=starts)
-    np.testing.assert_array_equal(shown(tensors.island(t, drawn)), shown(tensors.island(t, starts)))
-    wide = tensors.sample(t, u, min_clearance=0.15)
-    cleared = shown(tensors.clearance(t, wide, mode="nearest"))
+    draw_near = compiled(xp, lambda u, starts: tensors.sample(t, u, reachable_from=starts))
+    ask_island = compiled(xp, lambda p: tensors.island(t, p))
+    drawn = draw_near(u, starts)
+    np.testing.assert_array_equal(shown(ask_island(drawn)), shown(ask_island(starts)))
+    draw_wide = compiled(xp, lambda u: tensors.sample(t, u, min_clearance=0.15))
+    ask_clearance = compiled(xp, lambda p: tensors.clearance(t, p, mode="nearest"))
+    cleared = shown(ask_clearance(draw_wide(u)))
     expected = shown(t.clearance).max() >= 0.15
     assert (cleared >= 0.15).all() if expected else np.isnan(cleared).all()
 
@@ -362,7 +365,8 @@ def test_many_scenes_at_once(case):
     positions = np.concatenate([positions_over(grids[k], rng, 400, dtype) for k in (2, 0, 1)])
     p, ids = given(xp, positions, dtype), xp.asarray(scene)
     found = shown(compiled(xp, lambda p, ids: tensors.distances(t, p, scene_id=ids))(p, ids))
-    np.testing.assert_array_equal(found[:, 0], shown(tensors.distance_to_goal(t, p, 0, ids)))
+    ask = compiled(xp, lambda p, ids: tensors.distance_to_goal(t, p, 0, ids))
+    np.testing.assert_array_equal(found[:, 0], shown(ask(p, ids)))
     # each grid alone, in numpy
     alone = [g.tensors(dtype=dtype, goals=own) for g, own in zip(grids, goals, strict=True)]
     for function in (
@@ -388,10 +392,14 @@ def test_many_scenes_at_once(case):
         expected = tensors.path_step(single, own)
         np.testing.assert_allclose(steps[scene == k], expected, atol=1e-5)
     u = given(xp, rng.random((1200, 3)), dtype)
-    drawn = tensors.sample(t, u, scene_id=ids)
-    assert shown(tensors.is_navigable(t, drawn, scene_id=ids)).all()
-    drawn = tensors.sample(t, u, scene_id=ids, reachable_from=drawn)
-    assert shown(tensors.is_navigable(t, drawn, scene_id=ids)).all()
+    draw = compiled(xp, lambda u, ids: tensors.sample(t, u, scene_id=ids))
+    is_free = compiled(xp, lambda p, ids: tensors.is_navigable(t, p, scene_id=ids))
+    drawn = draw(u, ids)
+    assert shown(is_free(drawn, ids)).all()
+    draw_near = compiled(
+        xp, lambda u, ids, starts: tensors.sample(t, u, scene_id=ids, reachable_from=starts)
+    )
+    assert shown(is_free(draw_near(u, ids, drawn), ids)).all()
 
 
 @ON_ALL
@@ -402,18 +410,28 @@ def test_unknown_scenes_and_goals_are_nowhere(case):
     t = tensors.make_tensors([grid] * 2, xp, dtype=dtype, goals=[[here, (0.25, -0.05, 0.0)]] * 2)
     p, ids = given(xp, [here] * 5, dtype), xp.asarray([0, 1, 2, -1, 99])
     known = [True, True, False, False, False]
-    assert shown(tensors.is_navigable(t, p, ids)).tolist() == known
-    assert (shown(tensors.level_at(t, p, ids)) == 0).tolist() == known
-    for ask in (tensors.floor, tensors.clearance):
-        assert (~np.isnan(shown(ask(t, p, ids)))).tolist() == known
-    yaw, pattern = p[:, 0] * 0, p[:1, :2] * 0
-    assert (~np.isnan(shown(tensors.heights(t, p, yaw, pattern, ids))[:, 0])).tolist() == known
-    drawn = shown(tensors.sample(t, p[:, :1], scene_id=ids))
-    assert (~np.isnan(drawn[:, 0])).tolist() == known
-    distance = shown(tensors.distance_to_goal(t, p, ids, scene_id=0))
-    np.testing.assert_allclose(distance, [0.0, 0.2, np.nan, np.nan, np.nan], atol=1e-6)
-    steps = shown(tensors.path_step(t, p, ids, scene_id=0))
-    assert (~np.isnan(steps[:, 0])).tolist() == known
+
+    def ask_all(p, ids):
+        return {
+            "navigable": tensors.is_navigable(t, p, ids),
+            "level": tensors.level_at(t, p, ids),
+            "floor": tensors.floor(t, p, ids),
+            "clearance": tensors.clearance(t, p, ids),
+            "heights": tensors.heights(t, p, p[:, 0] * 0, p[:1, :2] * 0, ids),
+            "drawn": tensors.sample(t, p[:, :1], scene_id=ids),
+            "distance": tensors.distance_to_goal(t, p, ids, scene_id=0),
+            "steps": tensors.path_step(t, p, ids, scene_id=0),
+        }
+
+    answers = {name: shown(answer) for name, answer in compiled(xp, ask_all)(p, ids).items()}
+    assert answers["navigable"].tolist() == known
+    assert (answers["level"] == 0).tolist() == known
+    assert (~np.isnan(answers["floor"])).tolist() == known
+    assert (~np.isnan(answers["clearance"])).tolist() == known
+    assert (~np.isnan(answers["heights"][:, 0])).tolist() == known
+    assert (~np.isnan(answers["drawn"][:, 0])).tolist() == known
+    np.testing.assert_allclose(answers["distance"], [0.0, 0.2, np.nan, np.nan, np.nan], atol=1e-6)
+    assert (~np.isnan(answers["steps"][:, 0])).tolist() == known
 
 
 @ON_ALL
@@ -423,17 +441,34 @@ def test_numbers_are_taken_as_lists_and_as_numpys(case):
     here = (0.05, -0.05, 1.5)
     t = tensors.make_tensors(grids, xp, dtype=dtype, goals=[[here, here]] * 2)
     for ids in ([0, 1], (0, 1), np.array([0, 1]), np.array([0, 1], dtype=np.int16)):
-        np.testing.assert_allclose(shown(tensors.floor(t, [here] * 2, ids)), [0.0, 1.0])
-        assert (shown(tensors.distance_to_goal(t, [here] * 2, ids, scene_id=1)) == 0).all()
-        drawn = tensors.sample(t, [[0.5]] * 2, room=np.array([0, 0]), scene_id=ids)
-        np.testing.assert_allclose(shown(drawn)[:, 2], [0.0, 1.0])
-        scan = tensors.heights(t, [here] * 2, [0.0, 0.0], [(0.0, 0.0)], ids)
-        np.testing.assert_allclose(shown(scan), [[0.0], [1.0]])
-    assert shown(tensors.floor(t, here, np.int64(1))) == 1.0
-    assert shown(tensors.distance_to_goal(t, here, np.int32(1), scene_id=np.int64(1))) == 0.0
-    from_one = tensors.sample(t, [[0.5]] * 2, reachable_from=here, scene_id=1)
-    np.testing.assert_allclose(shown(from_one)[:, 2], 1.0)
-    assert shown(tensors.patch(t, here, np.float64(0.0), (1, 2), np.float64(0.1), scene_id=1)).all()
+
+        def ask_of_two(ids=ids):
+            return (
+                tensors.floor(t, [here] * 2, ids),
+                tensors.distance_to_goal(t, [here] * 2, ids, scene_id=1),
+                tensors.sample(t, [[0.5]] * 2, room=np.array([0, 0]), scene_id=ids),
+                tensors.heights(t, [here] * 2, [0.0, 0.0], [(0.0, 0.0)], ids),
+            )
+
+        floor, distance, drawn, scan = map(shown, compiled(xp, ask_of_two)())
+        np.testing.assert_allclose(floor, [0.0, 1.0])
+        assert (distance == 0).all()
+        np.testing.assert_allclose(drawn[:, 2], [0.0, 1.0])
+        np.testing.assert_allclose(scan, [[0.0], [1.0]])
+
+    def ask_of_one():
+        return (
+            tensors.floor(t, here, np.int64(1)),
+            tensors.distance_to_goal(t, here, np.int32(1), scene_id=np.int64(1)),
+            tensors.sample(t, [[0.5]] * 2, reachable_from=here, scene_id=1),
+            tensors.patch(t, here, np.float64(0.0), (1, 2), np.float64(0.1), scene_id=1),
+        )
+
+    floor, distance, drawn, patch = map(shown, compiled(xp, ask_of_one)())
+    assert floor == 1.0
+    assert distance == 0.0
+    np.testing.assert_allclose(drawn[:, 2], 1.0)
+    assert patch.all()
 
 
 def test_everything_stays_on_the_tensors_device():
