@@ -17,8 +17,10 @@ Source: ``refine`` of MINOS's client (``NavScene.js`` in sstk) for mode ``minos`
 `surroundings.LEAST_FLOOR`; the inflation layer of nav2 (``nav2_costmap_2d``) for costs ``nav2``.
 """
 
+from __future__ import annotations
+
 import math
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,6 +35,9 @@ from navbake.runtime import surroundings
 from navbake.runtime.flat_grid import RealNumber
 from navbake.runtime.surroundings import find_blocked, measure_to_occupied
 from navbake.types import Bool, Float, Int, Int32, Json
+
+if TYPE_CHECKING:
+    from navbake.runtime.inflation_kernels import LevelStack
 
 ndimage = lazy("scipy.ndimage")
 
@@ -455,49 +460,122 @@ def inflate_footprint(
         QueryError: the polygon or another argument is not valid.
     """
     check_choice(ledges, LEDGE_RULES, "ledges", QueryError)
-    outline = _check_polygon(polygon)
+    outline = check_polygon(polygon)
     if not isinstance(num_headings, int | np.integer) or not 1 <= num_headings <= MAX_HEADINGS:
         raise QueryError(f"expected 1 to {MAX_HEADINGS} headings, got {num_headings!r}")
-    radius = float(np.hypot(*outline.T).max())
-    free_masks = []
-    for level_number, level in enumerate(grid.levels):
-        cell_size = level.lattice.cell_size
-        window_radius = math.ceil(radius / cell_size) + 1
-        if window_radius > MAX_FOOTPRINT_REACH:
-            limit_text = f"within {MAX_FOOTPRINT_REACH} cells"
-            raise QueryError(f"expected a polygon {limit_text}, got one of {window_radius}")
-        level_stack, level_window = surroundings.stack_levels(grid, level_number, window_radius)
-        is_occupied = level_stack.occupied[level_stack.level] != 0
-        is_free_for_point = level.free_for_point
-        is_free = np.empty((num_headings, *level.shape), dtype=np.bool_)
-        # the cells round the agent's cell, in units of a cell: `touch_cells` finds the polygon's
-        window_lattice = Lattice(
-            -window_radius - 0.5,
-            window_radius + 0.5,
-            1.0,
-            2 * window_radius + 1,
-            2 * window_radius + 1,
+    return [
+        find_free_headings(
+            grid,
+            level_number,
+            (slice(0, level.height), slice(0, level.width)),
+            outline,
+            num_headings,
+            ledges,
         )
-        x, y = outline.T / cell_size
-        for heading_index in range(num_headings):
-            angle = 2 * math.pi * heading_index / num_headings
-            cos = math.cos(angle)
-            sin = math.sin(angle)
-            rotated_outline = np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
-            cell_offsets = np.ascontiguousarray(
-                np.argwhere(touch_cells([rotated_outline], window_lattice)) - window_radius
-            )
-            is_blocked = count_covered_cells(is_occupied, _find_runs(cell_offsets)) > 0
-            surroundings.block_by_floors(
-                grid, level_number, level_stack, radius, cell_offsets, ledges, is_blocked
-            )
-            is_free[heading_index] = is_free_for_point & ~is_blocked[level_window]
-        free_masks.append(is_free)
-    return free_masks
+        for level_number, level in enumerate(grid.levels)
+    ]
 
 
-def _check_polygon(polygon: ArrayLike) -> Float:
-    """Check the outline of a footprint; returns it as float64, shape (n, 2)."""
+def find_free_headings(
+    grid: NavGrid,
+    level_number: int,
+    window: tuple[slice, slice],
+    outline: Float,
+    num_headings: int,
+    ledges: str,
+) -> Bool:
+    """Mark the cells of a window where an agent with a polygonal footprint can stand.
+
+    Args:
+        grid: a grid of one or several levels.
+        level_number: number of the level.
+        window: rows and columns of the level.
+        outline: the footprint from above, from `check_polygon`, shape (n, 2) [m].
+        num_headings: number of headings, as in `inflate_footprint`.
+        ledges: ``avoid`` to keep the footprint off drops, or ``ignore``.
+
+    Returns:
+        Shape (num_headings, rows, columns), bool, as from `inflate_footprint`.
+
+    Raises:
+        QueryError: the polygon reaches over too many cells.
+    """
+    level = grid.levels[level_number]
+    cell_size = level.lattice.cell_size
+    radius = float(np.hypot(*outline.T).max())
+    reach = math.ceil(radius / cell_size) + 1
+    if reach > MAX_FOOTPRINT_REACH:
+        limit_text = f"within {MAX_FOOTPRINT_REACH} cells"
+        raise QueryError(f"expected a polygon {limit_text}, got one of {reach}")
+    level_stack, (level_rows, level_cols) = surroundings.stack_levels(grid, level_number, reach)
+    level_stack, (rows, cols) = _crop_stack(
+        level_stack,
+        slice(level_rows.start + window[0].start, level_rows.start + window[0].stop),
+        slice(level_cols.start + window[1].start, level_cols.start + window[1].stop),
+        reach,
+    )
+    is_occupied = level_stack.occupied[level_stack.level] != 0
+    is_free_for_point = level.free_for_point[window]
+    is_free = np.empty((num_headings, *is_free_for_point.shape), dtype=np.bool_)
+    # the cells round the agent's cell, in units of a cell: `touch_cells` finds the polygon's
+    reach_lattice = Lattice(-reach - 0.5, reach + 0.5, 1.0, 2 * reach + 1, 2 * reach + 1)
+    x, y = outline.T / cell_size
+    for heading_index in range(num_headings):
+        angle = 2 * math.pi * heading_index / num_headings
+        cos = math.cos(angle)
+        sin = math.sin(angle)
+        rotated_outline = np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
+        cell_offsets = np.ascontiguousarray(
+            np.argwhere(touch_cells([rotated_outline], reach_lattice)) - reach
+        )
+        is_blocked = count_covered_cells(is_occupied, _find_runs(cell_offsets)) > 0
+        surroundings.block_by_floors(
+            grid, level_number, level_stack, radius, cell_offsets, ledges, is_blocked
+        )
+        is_free[heading_index] = is_free_for_point & ~is_blocked[rows, cols]
+    return is_free
+
+
+def _crop_stack(
+    stack: LevelStack, rows: slice, cols: slice, margin: int
+) -> tuple[LevelStack, tuple[slice, slice]]:
+    """Cut a window and what lies within a margin of it out of a stack.
+
+    Args:
+        stack: the cells of a level and of the levels around it.
+        rows: rows of the window.
+        cols: columns of the window.
+        margin: by how many cells the result extends beyond the window, where the stack does.
+
+    Returns:
+        The cells, contiguous; and the rows and columns of the window in them.
+    """
+    first_row = max(rows.start - margin, 0)
+    first_col = max(cols.start - margin, 0)
+    cells = np.s_[:, first_row : rows.stop + margin, first_col : cols.stop + margin]
+    cropped_stack = stack._replace(
+        floor=np.ascontiguousarray(stack.floor[cells]),
+        occupied=np.ascontiguousarray(stack.occupied[cells]),
+        slope_bits=np.ascontiguousarray(stack.slope_bits[cells]),
+    )
+    return cropped_stack, (
+        slice(rows.start - first_row, rows.stop - first_row),
+        slice(cols.start - first_col, cols.stop - first_col),
+    )
+
+
+def check_polygon(polygon: ArrayLike) -> Float:
+    """Check the outline of a footprint.
+
+    Args:
+        polygon: expected to be the outline of an area, shape (n, 2), n >= 3 [m].
+
+    Returns:
+        The outline as float64, shape (n, 2).
+
+    Raises:
+        QueryError: it is anything else.
+    """
     expected = "expected a polygon of shape (n, 2) [m]"
     try:
         outline = np.asarray(polygon, dtype=np.float64)

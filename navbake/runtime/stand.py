@@ -130,7 +130,7 @@ def stand_poses(
     check_distance(spread, "spread")
     rng = np.random.default_rng(seed)
     targets = find_stand_targets(search, target, needs_height=rules.height is not None)
-    site = StandSite(search, rules)
+    site = StandSite(search, rules, targets)
     stands_by_target = [site.find_stands(stand_target) for stand_target in targets]
     why_not = {
         stand_target.name: site.explain(stand_target, target_stands.tally)
@@ -178,9 +178,10 @@ def stand_region(search: Search, target: StandTargets, rules: StandRules) -> lis
     Raises:
         QueryError: a rule is not valid, or there is no such object or category.
     """
-    site = StandSite(search, rules)
+    targets = find_stand_targets(search, target, needs_height=rules.height is not None)
+    site = StandSite(search, rules, targets)
     is_stand = np.zeros(search.flat.num_cells, dtype=np.bool_)
-    for stand_target in find_stand_targets(search, target, needs_height=rules.height is not None):
+    for stand_target in targets:
         is_stand[site.find_stands(stand_target).cells] = True
     return [
         is_stand[search.flat.cells_of(level_number)].reshape(level.shape)
@@ -230,7 +231,7 @@ class ReachTest:
         self._flat = search.flat
         self._tolerance = tolerance
         self._site = StandSite(
-            search, rules._replace(facing=None if tolerance is None else "target")
+            search, rules._replace(facing=None if tolerance is None else "target"), targets
         )
         self._stands_by_target = [self._site.find_stands(stand_target) for stand_target in targets]
         self.cells = np.unique(np.concatenate([stands.cells for stands in self._stands_by_target]))

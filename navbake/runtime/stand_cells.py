@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from navbake.errors import QueryError
 from navbake.known_names import check_choice, list_first
 from navbake.runtime.flat_grid import FlatGrid, RealNumber, check_distance
-from navbake.runtime.inflation import inflate_footprint, ledges_setting
+from navbake.runtime.inflation import check_polygon, find_free_headings, ledges_setting
 from navbake.runtime.name_map import NO_ENTRY
 from navbake.runtime.places import snap_to_cells
 from navbake.runtime.search import NO_CELLS, Search
@@ -184,6 +184,7 @@ class StandSite:
     Args:
         search: the search on the grid, up to date with added obstacles.
         rules: where a base may stand.
+        targets: the targets that will be asked for. A footprint is tested round them.
 
     Attributes:
         path_lengths: the lengths of the shortest paths from the start to all cells [m], by flat id,
@@ -195,7 +196,7 @@ class StandSite:
 
     path_lengths: Float | None
 
-    def __init__(self, search: Search, rules: StandRules) -> None:
+    def __init__(self, search: Search, rules: StandRules, targets: Sequence[StandTarget]) -> None:
         _check_rules(rules)
         self._search = search
         self._rules = rules
@@ -206,10 +207,7 @@ class StandSite:
             self.path_lengths = search.lengths_from(np.array([start_cell]))
         self._fits: Bool | None = None  # at each of `NUM_HEADINGS` headings, by flat id
         if rules.footprint is not None:
-            masks = inflate_footprint(
-                search.grid, rules.footprint, NUM_HEADINGS, ledges=ledges_setting(search.grid)
-            )
-            self._fits = np.concatenate([mask.reshape(NUM_HEADINGS, -1) for mask in masks], axis=1)
+            self._fits = self._test_footprint(check_polygon(rules.footprint), targets)
         max_cells = 0
         if rules.sight is not False:
             max_cells = _count_cells_in_reach(self._flat, rules.reach[1])
@@ -244,6 +242,33 @@ class StandSite:
                 names_between=[name for tally in tallies for name in tally.names_between],
             ),
         )
+
+    def _test_footprint(self, outline: Float, targets: Sequence[StandTarget]) -> Bool:
+        """Mark the cells in reach of targets where a footprint fits.
+
+        Args:
+            outline: the footprint, from `check_polygon`, shape (n, 2) [m].
+            targets: the things to be reached.
+
+        Returns:
+            By heading and flat id, shape (`NUM_HEADINGS`, cells); False far from all targets.
+        """
+        fits = np.zeros((NUM_HEADINGS, self._flat.num_cells), dtype=np.bool_)
+        cells = np.concatenate([NO_CELLS, *(target.cells for target in targets)])
+        level_of_cell = self._flat.level_of(cells)
+        for level in np.unique(level_of_cell).tolist():
+            window = self._cut_window(level, cells[level_of_cell == level], self._rules.reach[1])
+            free_headings = find_free_headings(
+                self._search.grid,
+                level,
+                (window.rows, window.cols),
+                outline,
+                NUM_HEADINGS,
+                ledges_setting(self._search.grid),
+            )
+            window_cells = window.cut(np.arange(self._flat.num_cells)).ravel()
+            fits[:, window_cells] = free_headings.reshape(NUM_HEADINGS, -1)
+        return fits
 
     def _find_on_level(
         self, target: StandTarget, target_squares: Float, level: int, on_level: Bool

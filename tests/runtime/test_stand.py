@@ -10,9 +10,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+import navbake
 from navbake.errors import QueryError
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.runtime.path_finder import PathFinder
+from project_paths import GOLDEN
 
 CELL = 0.1
 NAMES = {
@@ -305,6 +307,26 @@ def test_bases_stand_where_brute_force_over_all_cells_and_headings_finds_that_th
             headings = expected[cell.row, cell.col]
             if footprint is not None or facing:
                 assert min(angle_between(heading, other) for other in headings) < 1e-6
+
+
+@pytest.mark.parametrize("scene", ["house", "tower"])
+def test_a_footprint_fits_on_every_storey_where_it_fits_on_the_whole_grid(scene):
+    grid = navbake.load(GOLDEN / f"{scene}.grid.json.gz")
+    finder = PathFinder(grid)
+    names = finder.search.names.list_objects()[:8]
+    targets = [f"object:{name}" for name in names]
+    rules = {"reach": (0.2, 0.8), "sight": False, "count": None}
+    without_footprint = finder.stand_poses(targets, **rules)
+    poses = finder.stand_poses(targets, footprint=BASE, **rules)
+    masks = np.concatenate(
+        [mask.reshape(64, -1) for mask in grid.inflate_footprint(BASE, 64)], axis=1
+    )
+    cells = finder.search.flat.cells_at(without_footprint.positions)
+    heading_index = np.rint(without_footprint.headings / (2 * math.pi / 64)).astype(int) % 64
+    fits = masks[heading_index, cells]
+    np.testing.assert_array_equal(poses.positions, without_footprint.positions[fits])
+    np.testing.assert_array_equal(poses.target_index, without_footprint.target_index[fits])
+    assert len(poses) > 100 and not fits.all()
 
 
 @pytest.mark.parametrize("seed", range(8))
