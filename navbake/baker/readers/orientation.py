@@ -50,6 +50,10 @@ PLANE_THICKNESS = 0.08  # a flat surface lies within this distance of its plane,
 # A plane's normal is only fitted if the plane's triangles have more variance than this along its
 # narrower direction: a strip says little about its normal [m²]
 MIN_PLANE_VARIANCE = 0.04
+# If at least this share of a plane's area faces within the angle of `PLANE_COSINE` of its normal,
+# as in drawn buildings, the mean of these triangles' normals is more exact than a fit
+MIN_EXACT_SHARE = 0.5
+PLANE_COSINE = np.cos(np.radians(2.0))
 # Heights above a floor between which a surface counts as furniture [m]
 MIN_FURNITURE_HEIGHT = 0.12
 MAX_FURNITURE_HEIGHT = 1.1
@@ -66,6 +70,8 @@ MIN_FLOOR_AREA = 4.0  # a mesh whose largest flat surface is smaller may be furn
 # floor's area, and more than this many times the furniture's area in any other direction
 MIN_CLEAR_SHARE = 0.1
 MIN_CLEAR_RATIO = 1.3
+# y may be up, rather than z, if floors and furniture along it score this many times as much
+MIN_HINT_RATIO = 1.5
 
 
 class Orientation(NamedTuple):
@@ -108,7 +114,7 @@ def orient_meshes(
     - ``auto``, if the file of a scan states none: as for ``level``.
     - ``auto``, if another file states none: z. But it is an axis near y, and a warning says so, if
       the mesh looks as if it lay on its side (`lies_on_side`), and things clearly stand on surfaces
-      that face along y.
+      that face along y. Where only one of these two is so, a warning asks for `scene.up`.
     - ``level``: the direction that `find_orientations` finds from the floors of the mesh.
     - otherwise the axis or the vector that the setting states.
 
@@ -154,6 +160,11 @@ def orient_meshes(
         warnings.append(
             f"this floor may be a ceiling: next to nothing stands on it, and "
             f"{best_orientation.furniture_area:.1f} m² hang from a surface like it above: {hint}"
+        )
+    elif is_auto_without_axis and _is_y_likelier(orientations):
+        warnings.append(
+            "more stands on what faces along y than on what faces along z: if the file has y up, "
+            "set `scene.up` to y (z silences this)"
         )
     elif settings.up == "auto" and lies_on_side(meshes, sample):
         axis_name = _name_direction(np.abs(to_file_frame[:, 1]))
@@ -318,10 +329,38 @@ def find_orientations(sample: TriangleSample) -> tuple[list[Orientation], bool]:
     return orientations, is_clear
 
 
+def _score(orientation: Orientation) -> float:
+    """Return a number that is the higher, the likelier a direction is up [m²]."""
+    return round(orientation.furniture_area + FLOOR_WEIGHT * orientation.floor_area, 3)
+
+
 def _make_sort_key(orientation: Orientation) -> float:
     """Return a number by which to sort directions: the likelier a direction is up, the lower."""
-    area = orientation.furniture_area + FLOOR_WEIGHT * orientation.floor_area
-    return float(-round(area, 3) - 1e-6 * orientation.direction[2])
+    return float(-_score(orientation) - 1e-6 * orientation.direction[2])
+
+
+def _is_y_likelier(orientations: list[Orientation]) -> bool:
+    """Return whether y or -y is by far the likeliest direction to be up, rather than z.
+
+    Args:
+        orientations: the directions in the world frame that may be up, the likeliest first.
+    """
+    best_orientation = orientations[0]
+    is_along_y = abs(best_orientation.direction[1]) > MIN_FACING_COSINE
+    is_furnished = (
+        best_orientation.floor_area >= MIN_FLOOR_AREA
+        and best_orientation.furniture_area > MIN_CLEAR_SHARE * best_orientation.floor_area
+    )
+    upright_score = max(
+        (
+            _score(orientation)
+            for orientation in orientations
+            if orientation.direction[2] > MIN_FACING_COSINE
+        ),
+        default=0.0,
+    )
+    is_likelier = _score(best_orientation) > MIN_HINT_RATIO * upright_score
+    return bool(is_along_y and is_furnished and is_likelier)
 
 
 def sample_triangles(meshes: Collection[NamedMesh]) -> TriangleSample:
@@ -465,7 +504,9 @@ def _find_planes(axis: Float, sample: TriangleSample) -> list[_Plane]:
                     normal = -normal
             is_near = np.abs((centers - center) @ normal) <= PLANE_THICKNESS
             is_member = is_near if is_near.any() else is_member
-        signs = np.sign(sample.normal[remaining_triangles][is_member] @ normal)
+        normals = sample.normal[remaining_triangles][is_member]
+        normal = _refine_normal(normal, normals, areas[is_member])
+        signs = np.sign(normals @ normal)
         is_member_of_sample = np.zeros(len(sample.area), dtype=np.bool_)
         is_member_of_sample[remaining_triangles[is_member]] = True
         planes.append(
@@ -480,3 +521,25 @@ def _find_planes(axis: Float, sample: TriangleSample) -> list[_Plane]:
         remaining_triangles = remaining_triangles[~is_member]
         slot_of_triangle = slot_of_triangle[~is_member]
     return sorted(planes, key=lambda plane: -plane.area)
+
+
+def _refine_normal(plane_normal: Float, normals: Float, areas: Float) -> Float:
+    """Return the mean normal of a plane's triangles if most of them face nearly along its own.
+
+    In drawn buildings they do. There, a fit to the triangles' centres is up to a degree off where
+    the top and the underside of a floor belong to one plane; in scans, the fit is better.
+
+    Args:
+        plane_normal: the fitted normal, a unit vector, (3,).
+        normals: the unit normals of the plane's triangles, (n, 3).
+        areas: their areas, (n,) [m²].
+
+    Returns:
+        The normal, a unit vector, (3,).
+    """
+    cosines = normals @ plane_normal
+    is_near = np.abs(cosines) >= PLANE_COSINE
+    if areas[is_near].sum() < MIN_EXACT_SHARE * areas.sum():
+        return plane_normal
+    mean_normal: Float = (areas * np.sign(cosines))[is_near] @ normals[is_near]
+    return mean_normal / np.linalg.norm(mean_normal)

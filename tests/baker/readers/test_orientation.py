@@ -183,6 +183,55 @@ def test_furnished_rooms_get_no_such_warning(tmp_path):
     assert not ceilings(bake(path)) and not ceilings(bake(path, up="level"))
 
 
+# ---------------------------------------------------------------- drawn buildings
+
+
+def drawn_house(path: Path, up: Float) -> str:
+    """Two rooms of boxes, 6 x 4 m: their walls have more area than their floors."""
+    boxes = [
+        ((0, 0, -0.1), (6, 4, 0)),
+        ((-0.1, -0.1, -0.1), (6.1, 0, 2.6)), ((-0.1, 4, -0.1), (6.1, 4.1, 2.6)),
+        ((-0.1, 0, -0.1), (0, 4, 2.6)), ((6, 0, -0.1), (6.1, 4, 2.6)),
+        ((2.95, 0, 0), (3.05, 1.5, 2.6)), ((2.95, 2.4, 0), (3.05, 4, 2.6)),
+        ((4, 0.1, 0), (5.8, 0.9, 0.7)), ((1, 1, 0.7), (2, 2, 0.74)),
+    ]  # fmt: skip
+    mesh = trimesh.util.concatenate([trimesh.creation.box(bounds=bounds) for bounds in boxes])
+    mesh.vertices = mesh.vertices @ make_rotation_to_z_up(up)  # from +z to `up`
+    mesh.export(path)
+    return str(path)
+
+
+def hints_of_y(path: str, **settings) -> list[str]:
+    scene = load_alone(SceneSettings(path=path, **settings))
+    return [hint for hint in scene.hints if "has y up" in hint]
+
+
+def test_a_house_whose_walls_outweigh_its_floors_gets_a_hint_of_y(tmp_path):
+    y_up = drawn_house(tmp_path / "y.obj", np.array(AXIS_VECTORS["y"]))
+    (hint,) = hints_of_y(y_up)
+    assert "set `scene.up` to y (z silences this)" in hint
+    assert not hints_of_y(y_up, up="y") and not hints_of_y(y_up, up="z")
+    assert not hints_of_y(drawn_house(tmp_path / "z.obj", np.array(AXIS_VECTORS["z"])))
+
+
+def test_one_piece_of_furniture_gets_no_hint_of_y(tmp_path):
+    shelf = trimesh.util.concatenate(
+        [trimesh.creation.box((0.8, 0.02, 2.0)).apply_translation((0, y, 0)) for y in (0, 0.3)]
+    )
+    shelf.export(tmp_path / "shelf.stl")
+    assert not hints_of_y(str(tmp_path / "shelf.stl"))
+
+
+@pytest.mark.parametrize("up", ["y", "z", (0.31, -0.52, 0.79)])
+def test_level_turns_a_drawn_house_by_no_hundredth_of_a_degree(tmp_path, up):
+    """The floor's top and underside lie in one plane of a scan; a fit to both would be tilted."""
+    vector = np.array(AXIS_VECTORS[up] if isinstance(up, str) else up)
+    path = drawn_house(tmp_path / "house.ply", vector / np.linalg.norm(vector))
+    (level,) = bake(path, up="level").grid.levels
+    assert np.abs(level.floor_height[level.free]).max() < 1e-5
+    assert level.floor_height.shape == (42, 62) or not isinstance(up, str)
+
+
 # ---------------------------------------------------------------- holes
 
 
