@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from navbake.errors import NavbakeError, printable
+from navbake.known_names import find_similar_names
 
 try:
     import fcntl
@@ -264,6 +265,33 @@ def can_be_path(text: str) -> bool:
     except UnicodeEncodeError:  # half of a surrogate pair, as in JSON
         return False
     return "\0" not in text
+
+
+def hint_at_file(path: str | PathLike[str], suffixes: Iterable[str]) -> str:
+    """Write a hint for a path without a file, such as ``: did you mean scenes/house.xml?``.
+
+    Args:
+        path: The path that a user wrote.
+        suffixes: The endings of the files that the user may have meant, in small letters.
+
+    Returns:
+        The hint at the file of the same folder whose name is the most similar, or is the same but
+        for the ending; "" if there is none.
+    """
+    missing_path = Path(path)
+    try:
+        file_names = sorted(os.listdir(missing_path.parent))
+    except (OSError, ValueError):  # ValueError: a path with NUL
+        return ""
+    candidates = [
+        name
+        for name in file_names
+        if name.lower().endswith(tuple(suffixes)) and name != missing_path.name  # a broken link
+    ]
+    stem = missing_path.name.partition(".")[0]
+    near_names = find_similar_names(missing_path.name, candidates)
+    near_names += [name for name in candidates if name.partition(".")[0] == stem]
+    return f": did you mean {missing_path.parent / near_names[0]}?" if near_names else ""
 
 
 def check_regular(path: str | PathLike[str]) -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 from yaml.composer import Composer
@@ -172,19 +172,89 @@ def parse_yaml(text: str, source: str) -> JsonValue:
     try:
         return yaml.load(text, _Loader)  # a SafeLoader
     except yaml.MarkedYAMLError as error:
-        line = error.problem_mark.line + 1 if error.problem_mark else 1
-        line = min(line, text.rstrip("\n").count("\n") + 1)  # libyaml ends the last line itself
         problem = str(error.problem or error.context)[:MAX_PROBLEM]
-        hint = "text that begins with * needs quotes" if "undefined alias" in problem else None
+        line_index = error.problem_mark.line if error.problem_mark else 0
+        fault = _find_likely_fault(error, text)
+        if fault is not None:
+            line_index = fault.line_index
+        line = min(line_index, text.rstrip("\n").count("\n")) + 1  # libyaml ends the last line
         message = f"{problem} in line {line} of {source}"
-        if hint is not None:
-            message += f"; {hint}"
+        if fault is not None:
+            message = f"{fault.text} in line {line} of {source} ({problem})"
+        hint = None if fault is None else fault.text
         raise ConfigError(message, path=source, place=f"line {line}", hint=hint) from error
     except RecursionError as error:
         raise ConfigError(f"{source} is nested too deeply", path=source) from error
     except (yaml.YAMLError, *TAG_ERRORS) as error:
         problem = str(error).splitlines()[0][:MAX_PROBLEM]
         raise ConfigError(f"{source} is no YAML: {problem}", path=source) from error
+
+
+class _Fault(NamedTuple):
+    """What is likely wrong in a YAML text.
+
+    Attributes:
+        text: the fault in plain words, before "in line 3".
+        line_index: the index of the line in the text.
+    """
+
+    text: str
+    line_index: int
+
+
+def _find_likely_fault(error: yaml.MarkedYAMLError, text: str) -> _Fault | None:
+    """Find what is likely wrong at the place where the parser gave up.
+
+    The parser says what it expected there, in the terms of YAML's grammar, and often stops only
+    after the line at fault. libyaml and PyYAML's own parser use different words.
+
+    Args:
+        error: the parser's error.
+        text: what was parsed.
+
+    Returns:
+        The fault; None where the parser's own words say it.
+    """
+    mark = error.problem_mark
+    if mark is None:
+        return None
+    problem = str(error.problem)
+    context = str(error.context)
+    begin = error.context_mark or mark  # where the mapping, list or text begins
+    lines = text.split("\n")
+    line = lines[mark.line] if mark.line < len(lines) else ""
+    text_before = line[: mark.column]
+    character = line[mark.column : mark.column + 1]
+    if character == "\t" or " tab " in problem:
+        return _Fault("found a tab where YAML wants spaces", mark.line)
+    if "cannot start any token" in problem:
+        return _Fault(f"found text that begins with {character} and needs quotes", mark.line)
+    if "undefined alias" in problem:
+        return _Fault("found text that begins with * and needs quotes", mark.line)
+    if "unknown escape character" in problem:
+        return _Fault("found a backslash in double quotes, in place of single ones,", mark.line)
+    if "end of stream" in problem and "quoted" in context:
+        return _Fault("found a quote that is never closed", begin.line)
+    if "could not find expected ':'" in problem:
+        return _Fault("found a key without a colon and a space after it", begin.line)
+    if "mapping values are not allowed" in problem:
+        if ": " in text_before:
+            return _Fault("found a second colon, of text that needs quotes,", mark.line)
+        if mark.line and ":" not in lines[mark.line - 1]:
+            return _Fault("found a key without a colon after it", mark.line - 1)
+        return _Fault("found a key indented deeper than the keys above it", mark.line)
+    if "flow" in context and "expected ','" in problem:
+        bracket = "{" if "mapping" in context else "["
+        return _Fault(
+            f"found a {bracket} that is not closed, or no comma behind a value,", begin.line
+        )
+    if "parsing a block" in context or "document start" in problem:
+        if text_before.strip():
+            return _Fault("found text behind a value that ends before it", mark.line)
+        if error.context_mark is not None and begin.column == mark.column:
+            return _Fault("found a key among list items, or a list item among keys,", mark.line)
+        return _Fault("found an indentation that fits no line above", mark.line)
+    return None
 
 
 def apply_overrides(settings: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
+import re
 import time
 
 import pytest
+import yaml
 
 from command_line import run_command
 from navbake.baker.readers.building import read_building
@@ -60,6 +63,56 @@ def test_categories_of_episodes_are_read_alike(tmp_path, capsys):
     arguments = ("episodes", path, "-o", tmp_path / "a.jsonl", "--categories", path)
     status, _, err = run_command(capsys, *arguments)
     assert (status, len(err.splitlines())) == (1, 1) and "aliases repeat" in err
+
+
+# a text -> what is wrong with it, and in which line
+FAULTS = {
+    "scene:\n\tpath: a.xml": ("a tab where YAML wants spaces", 2),
+    "scene:\n  path: a.xml\n\tid: b": ("a tab where YAML wants spaces", 3),
+    "scene:\n    path: a.xml\n  id: b": ("an indentation that fits no line above", 3),
+    "scene: {path: a.xml}\n agent: {}": ("an indentation that fits no line above", 2),
+    " scene: {path: a.xml}\nagent: {}": ("an indentation that fits no line above", 2),
+    "links:\n  - {name: a}\n - {name: b}": ("an indentation that fits no line above", 3),
+    "scene:\n  path: a.xml\n   id: b": ("a key indented deeper than the keys above it", 3),
+    "agent:\n  radius: 0.3\n    height: 1": ("a key indented deeper than the keys above it", 3),
+    "scene\n  path: a.xml": ("a key without a colon after it", 1),
+    "scene:\n  path a.xml\n  id: b": ("a key without a colon after it", 2),
+    "scene:\n  path: a.xml\n  id:b\n  up: z": ("a key without a colon and a space after it", 3),
+    "scene: path: a.xml": ("a second colon, of text that needs quotes,", 1),
+    "scene: {path: a.xml\nagent: {}": ("a { that is not closed, or no comma behind a value,", 1),
+    "a: 1\nb: [[0, 0], [1, 1]\nc:\n  d: 1": (
+        "a [ that is not closed, or no comma behind a value,",
+        2,
+    ),
+    "grid: {margin: 1 bounds: 1}": ("a { that is not closed, or no comma behind a value,", 1),
+    'scene:\n  path: "a.xml\n  id: b\nagent: {}': ("a quote that is never closed", 2),
+    'scene:\n  path: "a".xml': ("text behind a value that ends before it", 2),
+    'scene:\n  path: "C:\\scenes\\a.xml"': (
+        "a backslash in double quotes, in place of single ones,",
+        2,
+    ),
+    "names: @a": ("text that begins with @ and needs quotes", 1),
+    "names: `a`": ("text that begins with ` and needs quotes", 1),
+    "geoms: *wall": ("text that begins with * and needs quotes", 1),
+    "links:\n  - name: a\n  kind: b": ("a key among list items, or a list item among keys,", 3),
+}
+
+
+@pytest.mark.parametrize("parser", ["libyaml", "PyYAML"])
+@pytest.mark.parametrize("text", FAULTS)
+def test_faults_are_told_in_plain_words(text, parser, monkeypatch):
+    fault, line = FAULTS[text]
+    told = re.escape(f"found {fault} in line {line} of house.yaml (")
+    parse = parse_yaml
+    if parser == "PyYAML":  # as where PyYAML comes without libyaml
+        monkeypatch.delattr(yaml, "CSafeLoader", raising=False)
+        spec = importlib.util.find_spec("navbake.yaml_text")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        parse = module.parse_yaml
+    with pytest.raises(ConfigError, match=f"^{told}") as caught:
+        parse(text, "house.yaml")
+    assert caught.value.place == f"line {line}"
 
 
 def test_aliases_and_quoted_signs_are_read():

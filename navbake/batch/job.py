@@ -21,7 +21,6 @@ from navbake import samples
 from navbake._version import __version__
 from navbake.auditor.audit import audit
 from navbake.baker.bake.pipeline import run_bake
-from navbake.baker.readers.mesh import MESH_SUFFIXES
 from navbake.baker.scene.model import limit_mesh_cache
 from navbake.batch import store
 from navbake.batch.products import (
@@ -42,7 +41,7 @@ from navbake.config.settings import (
 from navbake.errors import NavbakeError, printable
 from navbake.files import remove_leftovers, scratch_folder
 from navbake.formats.navgrid import read_navgrid, write_navgrid
-from navbake.formats.scene_files import find_inputs, scene_suffix
+from navbake.formats.scene_files import MESH_SUFFIXES, find_inputs, scene_suffix
 from navbake.formats.source import write_bytes
 from navbake.lazy import lazy
 from navbake.navgrid.grid import NavGrid

@@ -15,14 +15,14 @@ from pathlib import Path, PurePosixPath
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias
 
-from navbake import samples
+from navbake import files, samples
 from navbake.batch import store
 from navbake.batch.products import PRODUCT_FILE_PATTERN
 from navbake.config.field_types import find_unknown_key, show_value
 from navbake.config.keywords import overlay_settings
-from navbake.config.settings import SECTIONS, BakeConfig, is_settings, parse_config
+from navbake.config.settings import SECTIONS, YAML_SUFFIXES, BakeConfig, is_settings, parse_config
 from navbake.errors import ConfigError, shorten
-from navbake.files import can_be_path
+from navbake.formats.scene_files import SCENE_SUFFIXES
 from navbake.formats.source import import_extra, unpack
 from navbake.types import Json
 from navbake.yaml_text import apply_overrides, decode_yaml, split_override_key
@@ -96,7 +96,7 @@ def list_jobs(sources: Iterable[str], columns: Mapping[str, str] = NO_COLUMNS) -
     if not listed_jobs:
         raise ConfigError("expected at least one scene, got none")
     for job in listed_jobs:
-        if not can_be_path(job.source):
+        if not files.can_be_path(job.source):
             raise ConfigError(
                 f"expected a path, got {shorten(repr(job.source))} at {job.place}: no file can "
                 "have that name",
@@ -205,7 +205,9 @@ def _list_scenes_of(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
     is_pattern = glob.has_magic(shown_source) and not os.path.exists(source)
     if not store.is_url(source) and not is_pattern and not os.path.exists(source):
         sample_path = str(samples.find(source))
-        hint = "" if sample_path == source else f"; the settings of that name are {sample_path}"
+        hint = files.hint_at_file(source, (*YAML_SUFFIXES, *SCENE_SUFFIXES, *LIST_SUFFIXES))
+        if sample_path != source:
+            hint = f"; the settings of that name are {sample_path}"
         raise ConfigError(f"{EXPECTED_SCENE_TEXT} {source}: there is no such file{hint}")
     if _list_ending(shown_source) in LIST_SUFFIXES:
         yield from _read_list(source, columns)
@@ -559,7 +561,8 @@ def merge_settings(
     if outlines_path:  # quoted as in JSON, any path is valid YAML
         quoted_path = json.dumps(str(fetch(outlines_path)), ensure_ascii=False)
         overrides = [*overrides, f"rooms.polygons={quoted_path}"]
-    return parse_config(settings, place, overrides)
+    settings_file = job.source if is_settings(job.source) else ""
+    return parse_config(settings, place, overrides, settings_file=settings_file)
 
 
 def make_id_settings(scene_id: str) -> Json:

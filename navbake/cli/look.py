@@ -259,7 +259,7 @@ def view(
         with printing.show_progress_bars(
             str(config.scene.id), printing.VERBOSITY.quiet
         ) as progress:
-            scene_model = load_scene_file(config.scene)
+            scene_model = load_scene_file(config)
             grid = run_bake(config, progress=progress, scene_model=scene_model).grid
         print_warnings(list(grid.warnings))
         loaded_scene = load_scene(config, scene_model=scene_model)

@@ -112,9 +112,24 @@ def check_overrides(overrides: list[str] | None) -> list[str]:
 
 
 def override_sizes(radius: float | None, cell_size: float | None) -> list[str]:
-    """Convert the values of `--radius` and `--cell-size` to overrides of settings."""
-    size_by_key = {"agent.radius": radius, "grid.cell_size": cell_size}
-    return [f"{key}={size}" for key, size in size_by_key.items() if size is not None]
+    """Convert the values of `--radius` and `--cell-size` to overrides of settings.
+
+    Raises:
+        ConfigError: a value is out of the setting's range; the message names the option.
+    """
+    from navbake.config.settings import parse_config  # loads numpy and pydantic
+
+    overrides = []
+    for option_name, section, key, size in (
+        ("--radius", "agent", "radius", radius),
+        ("--cell-size", "grid", "cell_size", cell_size),
+    ):
+        if size is not None:
+            # an error of the bake would name `--set`, which the user did not type
+            settings = {"scene": {"path": "scene"}, section: {key: size}}
+            parse_config(settings, f"{option_name} {size:g}")
+            overrides.append(f"{section}.{key}={size}")
+    return overrides
 
 
 def read_pairs(texts: Iterable[str] | None, option: str, pair_form: str) -> dict[str, str]:

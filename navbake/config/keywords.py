@@ -23,9 +23,9 @@ from navbake.config.settings import (
     make_default_settings,
     make_memory_path,
     parse_config,
+    read_settings,
 )
 from navbake.errors import ConfigError, shorten
-from navbake.yaml_text import read_yaml
 
 
 class SettingKeywords(TypedDict, total=False):
@@ -120,6 +120,7 @@ def add_keywords_to_config(config: object, keywords: Mapping[str, Any]) -> BakeC
         return as_config(config)
     source_text = "the settings with the keywords"
     folder = Path()
+    settings_file = ""
     settings: Mapping[str, Any]
     if isinstance(config, BakeConfig):
         settings = config.model_dump(by_alias=True, exclude_unset=True)
@@ -130,7 +131,8 @@ def add_keywords_to_config(config: object, keywords: Mapping[str, Any]) -> BakeC
         source_text = f"{path} with the keywords"
         settings = make_default_settings(path)
         if is_settings(path):
-            settings = read_yaml(path)
+            settings = read_settings(path)
+            settings_file = str(path)
             folder = path.parent
             if not isinstance(settings, Mapping):
                 return as_config(path)  # raises the error
@@ -138,6 +140,7 @@ def add_keywords_to_config(config: object, keywords: Mapping[str, Any]) -> BakeC
         overlay_settings(settings, _check_keywords(keywords), source_text),
         source_text,
         folder=folder,
+        settings_file=settings_file,
     )
 
 

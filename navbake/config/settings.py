@@ -7,6 +7,7 @@ Lengths are in metres, positions in the world frame (z up), unless a description
 import hashlib
 import itertools
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -55,10 +56,10 @@ from navbake.config.field_types import (
 )
 from navbake.config.links import Areas, AreaSettings, Links, LinkSettings, NamedAgent
 from navbake.errors import ConfigError
-from navbake.files import can_be_path, readable_stem
-from navbake.formats.scene_files import BUILDING_SUFFIXES, scene_suffix
+from navbake.files import can_be_path, hint_at_file, readable_stem
+from navbake.formats.scene_files import BUILDING_SUFFIXES, SCENE_SUFFIXES, scene_suffix
 from navbake.formats.shapes import read_room_outlines
-from navbake.types import Json
+from navbake.types import Json, JsonValue
 from navbake.yaml_text import apply_overrides, read_yaml
 
 MeshMode = Literal["auto", "hull", "surface", "shell"]
@@ -458,6 +459,7 @@ class BakeConfig(Settings):
     verify: Section[VerifySettings] = section(VerifySettings, "comparing grid and scene")
     output: FilePath | None = setting(None, "file, from the current folder on", "<id>.grid.json")
     _input_files: tuple[Path, ...] = PrivateAttr(())
+    _settings_file: str = PrivateAttr("")
 
     @model_validator(mode="before")
     @classmethod
@@ -475,6 +477,11 @@ class BakeConfig(Settings):
     def inputs(self) -> tuple[Path, ...]:
         """The files that a bake reads: the scene, and files of room outlines, areas and links."""
         return (Path(self.scene.path), *self._input_files)
+
+    @property
+    def settings_file(self) -> str:
+        """The YAML file that the settings were read from, for messages; "" for none."""
+        return self._settings_file
 
     def __eq__(self, other: object) -> bool:
         """Return whether all settings are equal, whatever files they are read from."""
@@ -528,7 +535,24 @@ def load_config(path: str | PathLike[str], overrides: Sequence[str] = ()) -> Bak
     path = find_source(path)
     if not is_settings(path):
         return parse_config(make_default_settings(path), f"the settings of {path}", overrides)
-    return parse_config(read_yaml(path), str(path), overrides, folder=path.parent)
+    settings = read_settings(path)
+    return parse_config(settings, str(path), overrides, folder=path.parent, settings_file=str(path))
+
+
+def read_settings(path: Path) -> JsonValue:
+    """Read a YAML file of settings.
+
+    Args:
+        path: The path of the file.
+
+    Raises:
+        ConfigError: There is no such file, and the message names one that may have been meant; or
+            the file cannot be read.
+    """
+    if not os.path.lexists(path):
+        hint = hint_at_file(path, (*YAML_SUFFIXES, *SCENE_SUFFIXES))
+        raise ConfigError(f"no such file: {path}{hint}", path=str(path), hint=hint or None)
+    return read_yaml(path)
 
 
 def parse_config(
@@ -536,6 +560,8 @@ def parse_config(
     source: str = "the settings",
     overrides: Sequence[str] = (),
     folder: str | PathLike[str] = "",
+    *,
+    settings_file: str = "",
 ) -> BakeConfig:
     """Validate settings.
 
@@ -544,6 +570,7 @@ def parse_config(
         source: Name of the file that the settings come from, for messages.
         overrides: Texts ``a.b=value``, each of which replaces a setting.
         folder: The folder that `scene.path` and other paths are relative to.
+        settings_file: The YAML file that the settings come from, "" for none.
 
     Raises:
         ConfigError: A setting is wrong.
@@ -572,6 +599,7 @@ def parse_config(
     except ValidationError as error:
         raise make_config_error(error, SECTIONS, source, overrides) from error
     config._input_files = tuple(context["inputs"])
+    config._settings_file = settings_file
     return config
 
 

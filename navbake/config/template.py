@@ -20,7 +20,8 @@ from navbake.config.settings import (
     parse_config,
 )
 from navbake.errors import ConfigError, SceneError
-from navbake.files import write_whole
+from navbake.files import hint_at_file, write_whole
+from navbake.formats.scene_files import SCENE_SUFFIXES
 from navbake.yaml_text import parse_yaml
 
 SCHEMA_NAME = "navbake.schema.json"  # where settings look for their JSON Schema, beside them
@@ -111,7 +112,8 @@ def make_template(scene: Path, folder: Path) -> tuple[str, str]:
         raise ConfigError(message, path=str(source), expected="a scene", hint=hint)
     scene_id = load_config(scene).scene.id
     if not os.path.isfile(scene):
-        raise SceneError(f"no such file: {scene}", path=str(scene))
+        hint = hint_at_file(scene, SCENE_SUFFIXES)
+        raise SceneError(f"no such file: {scene}{hint}", path=str(scene), hint=hint or None)
     scene = scene.resolve()
     with contextlib.suppress(ValueError):  # Windows has no relative path to another drive
         scene = Path(os.path.relpath(scene, folder.resolve()))

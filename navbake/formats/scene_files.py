@@ -22,6 +22,10 @@ SDF_SUFFIXES = frozenset({".sdf", ".world"})
 BUILDING_SUFFIXES = frozenset({".building.yaml", ".building.yml"})
 USD_SUFFIXES = frozenset({".usd", ".usda", ".usdc"})
 STAGE_SUFFIXES = USD_SUFFIXES | {".usdz"}  # a .usdz contains all of its files
+MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
+MJB_SUFFIX = ".mjb"
+SCENE_SUFFIXES = XML_SUFFIXES | SDF_SUFFIXES | BUILDING_SUFFIXES | STAGE_SUFFIXES | MESH_SUFFIXES
+SCENE_SUFFIXES |= {MJB_SUFFIX}
 # environment variables that list the folders of Gazebo's models, the newest variable first
 MODEL_PATHS = (
     "GZ_SIM_RESOURCE_PATH",

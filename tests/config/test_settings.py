@@ -333,7 +333,10 @@ def test_names_the_override_at_fault(house):
         ("scene: {path: [}", "line 1 of house.yaml"),
         ("scene:\n  path: a\n bad: 1", "line 3 of house.yaml"),
         ("scene: {path: a}\nscene: {path: b}", "'scene' stands here a second time in line 2"),
-        ("scene: {path: a, exclude: {bodies: [*robot]}}", "that begins with * needs quotes"),
+        (
+            "scene: {path: a, exclude: {bodies: [*robot]}}",
+            "found text that begins with * and needs quotes in line 1 of house.yaml",
+        ),
         ("scene: !!python/object:os.system {}", "line 1"),
         ("a: 1\n---\nb: 2", "line 2"),
         ("? [a]\n: 1", "line 1"),
@@ -354,6 +357,10 @@ def test_refuses_what_is_no_settings_file(house, text, expected):
 
 def test_refuses_files_that_cannot_be_read(tmp_path):
     assert message(tmp_path / "none.yaml") == "no such file: none.yaml"
+    (tmp_path / "nine.xml").touch()
+    (tmp_path / "nine.png").touch()
+    hint = "no such file: nine.yaml: did you mean nine.xml?"
+    assert message(tmp_path / "nine.yaml") == hint.replace("nine.xml", str(tmp_path / "nine.xml"))
     (tmp_path / "folder.yaml").mkdir()
     assert "cannot read folder.yaml" in message(tmp_path / "folder.yaml")
     (tmp_path / "latin.yaml").write_bytes(b"scene: {id: caf\xe9}")

@@ -84,7 +84,7 @@ def parse_arguments(
         return config, scene_model
     # The model says which bodies there are. The bake needs it as well, and does not load it again.
     if scene_model is None:
-        scene_model = load_scene_file(config.scene, limits)
+        scene_model = load_scene_file(config, limits)
     exclude_settings = _merge_exclude_settings(
         scene_model.model, config.scene.exclude, exclude, robot
     )

@@ -13,11 +13,10 @@ from navbake.baker.floors.levels import Floors, LevelFloor, crop_floors, fill_ho
 from navbake.baker.floors.outline import OccupancyTest
 from navbake.baker.occupancy.footprint import Footprint
 from navbake.baker.occupancy.occupancy import check_occupancy
-from navbake.baker.readers.mesh import MESH_SUFFIXES
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import MAX_SCAN_HOLE_AREA, BakeConfig, is_memory_path
 from navbake.errors import SceneError
-from navbake.formats.scene_files import scene_suffix
+from navbake.formats.scene_files import MESH_SUFFIXES, scene_suffix
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int
 

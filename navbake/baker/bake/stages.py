@@ -138,7 +138,7 @@ def open_stages(
     with clock.add_to_stage("scene"):
         # before the kernels are compiled, which may take minutes: a file may be wrong
         if scene_model is None:
-            scene_model = load_scene_file(config.scene, limits)
+            scene_model = load_scene_file(config, limits)
     ensure_compiled()
     with clock.stage("scene"):
         scene = load_scene(config, scene_model=scene_model)

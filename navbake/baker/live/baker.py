@@ -100,7 +100,7 @@ class Baker:
     ) -> None:
         config, scene_model = parse_arguments(scene, data, settings, exclude, robot)
         if scene_model is None:
-            scene_model = load_scene_file(config.scene)
+            scene_model = load_scene_file(config)
         self._config = config
         self._scene_model = scene_model
         self._threads = threads

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
 else:
     trimesh = lazy("trimesh")
 
-MESH_SUFFIXES = frozenset({".obj", ".ply", ".stl", ".glb", ".gltf", ".dae"})
 
 # Axis name -> unit vector, for x, y, z, -x, -y and -z
 AXIS_VECTORS: dict[str, list[float]] = dict(zip("xyz", np.eye(3).tolist(), strict=True))

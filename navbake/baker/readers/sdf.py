@@ -21,7 +21,6 @@ import numpy as np
 
 from navbake.baker.geometry.shapes import Mesh, tessellate
 from navbake.baker.readers.mesh import (
-    MESH_SUFFIXES,
     StrayMeshError,
     join_meshes,
     make_rotation_to_z_up,
@@ -50,7 +49,12 @@ from navbake.baker.readers.sdf_shapes import (
 from navbake.config.settings import SceneSettings
 from navbake.errors import SceneError
 from navbake.formats.package_paths import is_same_model_name, parse_fuel_address
-from navbake.formats.scene_files import find_model_file, list_sdf_paths, parse_sdf_version
+from navbake.formats.scene_files import (
+    MESH_SUFFIXES,
+    find_model_file,
+    list_sdf_paths,
+    parse_sdf_version,
+)
 from navbake.formats.xml_files import parse_xml
 from navbake.types import Float
 

@@ -25,9 +25,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import mujoco
 import numpy as np
 
-from navbake import samples
 from navbake.baker.readers.mesh import (
-    MESH_SUFFIXES,
     NamedMesh,
     convert_trimesh,
     is_mesh_scene,
@@ -53,6 +51,9 @@ from navbake.files import scratch_folder
 from navbake.formats.package_paths import RosPackages
 from navbake.formats.scene_files import (
     BUILDING_SUFFIXES,
+    MESH_SUFFIXES,
+    MJB_SUFFIX,
+    SCENE_SUFFIXES,
     SDF_SUFFIXES,
     STAGE_SUFFIXES,
     XML_SUFFIXES,
@@ -61,7 +62,7 @@ from navbake.formats.scene_files import (
     scene_suffix,
 )
 from navbake.formats.xml_files import find_root_tag, parse_xml
-from navbake.known_names import find_similar_names, list_first, unique_name
+from navbake.known_names import list_first, unique_name
 from navbake.lazy import resolve
 from navbake.mujoco_types import MjDataLike, MjModelLike, MjSpecLike
 from navbake.processes import describe_exit, end_with_parent, is_lack_of_memory, limit_memory
@@ -76,7 +77,6 @@ SceneInMemory: TypeAlias = "MjModelLike | MjSpecLike | trimesh.Scene | trimesh.T
 SceneInput: TypeAlias = "SceneInMemory | BakeConfig | str | PathLike[str] | Mapping[str, object]"
 """A scene in memory; settings; or the path of a scene or of a YAML file with settings."""
 
-MJB_SUFFIX = ".mjb"
 # File suffix -> function that reads such a file as a `ParsedScene`
 READERS = dict.fromkeys(STAGE_SUFFIXES, "navbake.baker.readers.usd:read_stage")
 READERS |= dict.fromkeys(SDF_SUFFIXES, "navbake.baker.readers.sdf:read_world")
@@ -156,10 +156,6 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> SceneModel:
     named_leaves = frozenset[str]()
     suffix = scene_suffix(path)
     try:
-        if not path.exists():
-            near_samples = find_similar_names(path, samples.names())
-            hint = f": did you mean the sample {near_samples[0]!r}?" if near_samples else ""
-            raise SceneError(f"no scene file at {path}{hint}")
         if not path.is_file():
             path_type = "folder" if path.is_dir() else "device"
             raise SceneError(f"expected a scene file, got a {path_type} at {path}")
@@ -180,7 +176,7 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> SceneModel:
         elif suffix in CONVERSIONS:
             raise SceneError(f"cannot read {path}: {CONVERSIONS[suffix]}")
         else:
-            suffixes = ", ".join(sorted({MJB_SUFFIX, *XML_SUFFIXES, *MESH_SUFFIXES, *READERS}))
+            suffixes = ", ".join(sorted(SCENE_SUFFIXES))
             raise SceneError(f"cannot tell what {path} is: expected one of {suffixes}")
     except OSError as error:
         raise SceneError(f"cannot read {path}: {error.strerror or error}") from error

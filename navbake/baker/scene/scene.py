@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake import samples
 from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.readers.mesh import NamedMesh, measure_mesh_bounds
 from navbake.baker.readers.parsed_scene import catch_warnings
@@ -44,8 +45,10 @@ from navbake.config.settings import (
     find_scene_stem,
 )
 from navbake.errors import SceneError
-from navbake.formats.scene_files import SDF_SUFFIXES, STAGE_SUFFIXES, XML_SUFFIXES
+from navbake.files import hint_at_file
+from navbake.formats.scene_files import SCENE_SUFFIXES, SDF_SUFFIXES, STAGE_SUFFIXES, XML_SUFFIXES
 from navbake.formats.xml_files import find_root_tag
+from navbake.known_names import find_similar_names
 from navbake.navgrid.user_data import without_garbage_collection
 from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int, Int32
@@ -220,7 +223,7 @@ def load_scene(
     """
     settings = config.scene
     if scene_model is None:
-        scene_model = load_scene_file(settings, limits)
+        scene_model = load_scene_file(config, limits)
     model = scene_model.model
     exact_meshes = scene_model.exact_meshes
     with catch_warnings() as pose_warnings:
@@ -276,11 +279,11 @@ def load_scene(
     )
 
 
-def load_scene_file(settings: SceneSettings, limits: CompileLimits | None = None) -> SceneModel:
+def load_scene_file(config: BakeConfig, limits: CompileLimits | None = None) -> SceneModel:
     """Load and compile the scene file that the settings name.
 
     Args:
-        settings: the scene's path, and how to read it.
+        config: all settings, of which `scene` says how to read the file.
         limits: limits for MuJoCo's compiler, which then runs in a child process; None to compile in
             this process, without limits.
 
@@ -291,10 +294,32 @@ def load_scene_file(settings: SceneSettings, limits: CompileLimits | None = None
         SceneError: the file is missing or broken.
         ConfigError: a setting does not fit the file.
     """
+    _check_scene_exists(config)
     with catch_warnings() as warnings:
         if limits is None:
-            return load_model(settings, warnings)
-        return load_isolated(settings, limits, warnings)
+            return load_model(config.scene, warnings)
+        return load_isolated(config.scene, limits, warnings)
+
+
+def _check_scene_exists(config: BakeConfig) -> None:
+    """Raise a SceneError if there is no scene file; it names what the user may have meant."""
+    path = Path(config.scene.path)
+    try:
+        if path.exists():
+            return
+    except OSError as error:  # as for a name that is too long
+        raise SceneError(f"cannot read {path}: {error.strerror or error}") from error
+    hint = hint_at_file(path, SCENE_SUFFIXES)
+    near_samples = find_similar_names(path, samples.names())
+    if not hint and near_samples:
+        hint = f": did you mean the sample {near_samples[0]!r}?"
+    named_text = f" (`scene.path` in {config.settings_file})" if config.settings_file else ""
+    raise SceneError(
+        f"no scene file at {path}{named_text}{hint}",
+        path=str(path),
+        key="scene.path",
+        hint=hint.removeprefix(": ") or None,
+    )
 
 
 def _count_geoms(

@@ -91,6 +91,26 @@ def test_missing_file(fails, name):
     assert f"no scene file at {name}" in fails(name, scene={"path": name})
 
 
+def test_the_settings_and_a_near_file_are_named_for_a_scene_that_is_missing(fails, tmp_path):
+    (tmp_path / "scenes").mkdir()
+    write("scenes/twins.xml", ROOM)
+    write("scenes/twins.txt", "")
+    Path("twinz.yaml").write_text("scene: {path: scenes/twinz.xml}")
+    told = (
+        "no scene file at scenes/twinz.xml (`scene.path` in twinz.yaml): "
+        "did you mean scenes/twins.xml?"
+    )
+    assert told in fails("twinz.yaml")
+    for scene in ("twinz.yaml", Path("twinz.yaml")):
+        with pytest.raises(navbake.SceneError, match=f"^{re.escape(told)}$") as caught:
+            navbake.bake(scene, grid={"cell_size": 0.2})
+        assert (caught.value.key, caught.value.path) == ("scene.path", "scenes/twinz.xml")
+    # the same name with another ending
+    assert "no scene file at scenes/twins.obj: did you mean scenes/twins.xml?" in fails(
+        "scenes/twins.obj"
+    )
+
+
 def test_a_name_that_is_too_long(fails):
     name = "x" * 300 + ".xml"
     assert f"cannot read {name}: File name too long" in fails(name, "--set", "scene.id=room")
