@@ -328,9 +328,10 @@ class Stages:
         standing_cells = self.standing_cells
         standing_occupants = self.standing_occupants
         with self.clock.stage("rooms"):
-            return gather_flags(
+            columns = self.column_chunks
+            room_flags = gather_flags(
                 self.scene,
-                self.column_chunks,
+                columns,
                 floors=self.floors,
                 column_flags=standing_cells.column_flags,
                 standing_occupants=standing_occupants,
@@ -339,6 +340,8 @@ class Stages:
                 settings=self.config.rooms,
                 agent=self.config.agent,
             )
+            columns.forget_columns()
+            return room_flags
 
     @cached_property
     def leaf_cells(self) -> list[LeafCells]:

@@ -297,6 +297,8 @@ class ColumnCaster:
         """Forget the columns of the last call of `columns_at`; implements `ColumnSource`."""
         self._last_cells = np.empty(0, dtype=np.int64)
         self._last_columns = None
+        if self._all_columns is None:  # in a small lattice, giving it back takes more than it saves
+            give_back_memory()
 
     def _cast_rows(self, rows: RowChunk) -> Columns:
         """Cast the columns of a chunk of rows."""

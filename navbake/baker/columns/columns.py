@@ -247,7 +247,10 @@ class ColumnSource(Protocol):
         """
 
     def forget_columns(self) -> None:
-        """Forget the columns that `columns_at` keeps for its next calls, if it keeps any."""
+        """Forget the columns that `columns_at` keeps for its next calls, if it keeps any.
+
+        In a large lattice, memory that has been freed is then given back to the system.
+        """
 
 
 class ShapeSource(Protocol):

@@ -6,7 +6,7 @@ numbers for each block; things that extend over blocks, such as regions, are mer
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -26,6 +26,8 @@ LEAST_BLOCKS = LEAST_CELLS // BLOCK**2
 # How many times as many rows the next call has room for. A block that had no room is done again,
 # and may have many rows, as in a tower; memory that no row is written into takes none
 CAPACITY_GROWTH = 8
+# Arrays of a `RowsBuilder` that are too small are replaced by some of the expected size times this
+SPARE_FACTOR = 1.1
 
 
 class Blocks:
@@ -56,11 +58,13 @@ class Blocks:
         """
         width = self.lattice.width
         cells = np.arange(first_row * width, end_row * width).reshape(-1, width)
-        pieces = []
-        for whole_blocks, cut_blocks in self._split_by_block(cells, first_row):
-            pieces.append(whole_blocks.swapaxes(0, 1).ravel())
-            pieces.append(cut_blocks.ravel())
-        return np.concatenate(pieces)
+        cells_by_block = np.empty(cells.size, dtype=np.int64)
+        num_listed = 0
+        for cells_of_blocks in self._split_by_block(cells, first_row):
+            listed_cells = cells_by_block[num_listed : num_listed + cells_of_blocks.size]
+            listed_cells.reshape(cells_of_blocks.shape)[...] = cells_of_blocks
+            num_listed += cells_of_blocks.size
+        return cells_by_block
 
     def list_cells_of_blocks(self, is_selected: Bool) -> Int:
         """List the ids of all cells of some blocks, ascending.
@@ -82,30 +86,25 @@ class Blocks:
             pieces.append(np.add.outer(rows * lattice.width, cols).ravel())
         return np.concatenate(pieces)
 
-    def order_by_cell(self, values: NDArray[ScalarT], first_row: int) -> NDArray[ScalarT]:
+    def order_by_cell(
+        self, values: NDArray[ScalarT], first_row: int, values_by_row: NDArray[ScalarT]
+    ) -> None:
         """Bring values of cells into the order of the cells' ids.
 
         Args:
             values: a value for each cell that `list_cells` lists, in its order, shape (n,).
             first_row: the first row of these cells, which make up entire rows.
-
-        Returns:
-            The values in the order of cell ids, shape (n,).
+            values_by_row: receives the values, shape (rows, width).
         """
-        values_by_row = np.empty(
-            (len(values) // self.lattice.width, self.lattice.width), values.dtype
-        )
         num_ordered = 0
-        for whole_blocks, cut_blocks in self._split_by_block(values_by_row, first_row):
-            for cells_of_blocks in (whole_blocks.swapaxes(0, 1), cut_blocks):
-                next_values = values[num_ordered : num_ordered + cells_of_blocks.size]
-                cells_of_blocks[...] = next_values.reshape(cells_of_blocks.shape)
-                num_ordered += cells_of_blocks.size
-        return values_by_row.ravel()
+        for cells_of_blocks in self._split_by_block(values_by_row, first_row):
+            next_values = values[num_ordered : num_ordered + cells_of_blocks.size]
+            cells_of_blocks[...] = next_values.reshape(cells_of_blocks.shape)
+            num_ordered += cells_of_blocks.size
 
     def _split_by_block(
         self, cells: NDArray[ScalarT], first_row: int
-    ) -> Iterator[tuple[NDArray[ScalarT], NDArray[ScalarT]]]:
+    ) -> Iterator[NDArray[ScalarT]]:
         """Split an array with an entry for each cell of some rows, as views.
 
         Args:
@@ -113,18 +112,18 @@ class Blocks:
             first_row: the first of the rows.
 
         Yields:
-            For each row of blocks, the blocks that have all their columns, shape (rows of cells,
-            blocks, BLOCK); and the block that the lattice cuts off, shape (rows of cells, columns),
+            For each row of blocks, the blocks that have all their columns, shape (blocks, rows of
+            cells, BLOCK); and the block that the lattice cuts off, shape (rows of cells, columns),
             which may have no columns.
         """
         end_of_whole_blocks = self.lattice.width // BLOCK * BLOCK
         for row in range(-(first_row % BLOCK), len(cells), BLOCK):
             block_row = cells[max(row, 0) : row + BLOCK]
-            whole_blocks = block_row[:, :end_of_whole_blocks]
-            yield (
-                whole_blocks.reshape(len(block_row), end_of_whole_blocks // BLOCK, BLOCK),
-                block_row[:, end_of_whole_blocks:],
+            whole_blocks = block_row[:, :end_of_whole_blocks].reshape(
+                len(block_row), end_of_whole_blocks // BLOCK, BLOCK
             )
+            yield whole_blocks.swapaxes(0, 1)
+            yield block_row[:, end_of_whole_blocks:]
 
     def list_rows(
         self,
@@ -166,6 +165,53 @@ def join_arrays(chunks: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
     arrays = [np.concatenate([chunk.pop(0) for chunk in chunks]) for _ in range(len(chunks[0]))]
     give_back_memory()  # memory that is freed between arrays in use stays reserved
     return arrays
+
+
+class RowsBuilder:
+    """Collects rows of numbers that a stage lists for one part of a lattice after the other.
+
+    A row of numbers is spread over several arrays: it has an entry in each of them. So that most
+    rows are copied only once, there is room for the rows that the remaining cells will have, if
+    they have as many as the cells before them. Memory that no row is written into takes none.
+
+    Attributes:
+        num_rows: how many rows have been appended.
+    """
+
+    def __init__(self, empty_arrays: Sequence[NDArray[Any]]) -> None:
+        """Begin without rows.
+
+        Args:
+            empty_arrays: arrays without entries, which have the dtypes, and the shapes after the
+                first axis, of the arrays.
+        """
+        self.num_rows = 0
+        self._arrays = list(empty_arrays)
+
+    def append(self, pieces: Sequence[Sequence[NDArray[Any]]], appended_fraction: float) -> None:
+        """Append rows.
+
+        Args:
+            pieces: the rows in any number of pieces; each has arrays of shape (n, ...).
+            appended_fraction: the fraction of all cells that have their rows after this call, in
+                (0, 1].
+        """
+        end_row = self.num_rows + sum(len(arrays[0]) for arrays in pieces)
+        if end_row > len(self._arrays[0]):
+            spare_factor = SPARE_FACTOR if appended_fraction < 1.0 else 1.0
+            capacity = int(end_row * spare_factor / appended_fraction)
+            for index, array in enumerate(self._arrays):
+                self._arrays[index] = np.empty((capacity, *array.shape[1:]), array.dtype)
+                self._arrays[index][: self.num_rows] = array[: self.num_rows]
+        for arrays in pieces:
+            rows_of_piece = slice(self.num_rows, self.num_rows + len(arrays[0]))
+            for array, appended_array in zip(self._arrays, arrays, strict=True):
+                array[rows_of_piece] = appended_array
+            self.num_rows = rows_of_piece.stop
+
+    def build(self) -> list[NDArray[Any]]:
+        """Return the arrays with all rows, (n, ...) each."""
+        return [array[: self.num_rows] for array in self._arrays]
 
 
 def replace_slices(
@@ -230,9 +276,30 @@ def list_rows(
         How many rows each block has, (k,) int64; and the arrays with the rows, (n, ...) each, in
         the order of the blocks.
     """
+    row_counts, pieces = list_rows_in_pieces(kernel, blocks, empty_arrays, *args, least=least)
+    if len(pieces) == 1:
+        return row_counts, pieces[0]
+    return row_counts, [np.concatenate(arrays) for arrays in zip(*pieces, strict=True)]
+
+
+def list_rows_in_pieces(
+    kernel: Callable[..., int],
+    blocks: Int,
+    empty_arrays: tuple[NDArray[Any], ...],
+    *args: object,
+    least: int = 1,
+) -> tuple[Int, list[list[NDArray[Any]]]]:
+    """List rows as `list_rows` does, and leave it to the caller to join them.
+
+    Args:
+        kernel, blocks, empty_arrays, args, least: see `list_rows`.
+
+    Returns:
+        How many rows each block has, (k,) int64; and the arrays with the rows in pieces, in the
+        order of the blocks, at least one piece.
+    """
     row_counts = np.zeros(len(blocks), dtype=np.int64)
-    # index of a range's first block -> the range's rows; -1 -> arrays without rows
-    arrays_of_range: dict[int, list[NDArray[Any]]] = {-1: list(empty_arrays)}
+    arrays_of_range = dict[int, list[NDArray[Any]]]()  # by the index of the range's first block
 
     def list_range(first_block: int, end_block: int) -> None:
         capacity = FIRST_CAPACITY
@@ -247,7 +314,5 @@ def list_rows(
             capacity = CAPACITY_GROWTH * capacity
 
     run_in_chunks(list_range, len(blocks), min_chunk_size=least)
-    if len(arrays_of_range) == 2:
-        return row_counts, arrays_of_range[0]
-    ranges_in_order = [arrays_of_range[first_block] for first_block in sorted(arrays_of_range)]
-    return row_counts, [np.concatenate(arrays) for arrays in zip(*ranges_in_order, strict=True)]
+    pieces = [arrays_of_range[first_block] for first_block in sorted(arrays_of_range)]
+    return row_counts, pieces or [list(empty_arrays)]

@@ -72,18 +72,19 @@ class JoinRule(NamedTuple):
 
 
 class ComponentNumbering(NamedTuple):
-    """The components of surfaces, numbered in each block from 0, and numbered over all blocks.
+    """The components of surfaces, numbered in each block, and numbered over all blocks.
 
     Attributes:
-        number_in_block: for each surface, the number of its component in the block, -1 for none,
-            see `label_blocks`, int32.
-        first_number_of_block: for each block, how many components all blocks before it have, int64.
+        number_in_block: for each surface, a number that its component has in its block alone, -1
+            for no component, int32. Those of a block follow each other, see `label_blocks`.
+        offset_of_block: for each block, what has to be added to these numbers for those over all
+            blocks, int64.
         overall_number: receives, for each surface, the number of its component over all blocks, -1
             for none, int32.
     """
 
     number_in_block: Int32
-    first_number_of_block: Int
+    offset_of_block: Int
     overall_number: Int32
 
 
@@ -363,7 +364,7 @@ def list_pairs(
     width = lattice.width
     max_rise = max_rise_of(rule)
     number_in_block = numbering.number_in_block
-    first_number_of_block = numbering.first_number_of_block
+    offset_of_block = numbering.offset_of_block
     overall_number = numbering.overall_number
     for block_index in range(begin, end):
         num_rows_before = num_rows
@@ -382,7 +383,7 @@ def list_pairs(
                     if number_in_block[surface] < 0:
                         continue
                     overall_number[surface] = (
-                        first_number_of_block[blocks[block_index]] + number_in_block[surface]
+                        offset_of_block[blocks[block_index]] + number_in_block[surface]
                     )
                     if number_below >= 0:
                         row_index = count_row(
@@ -410,7 +411,7 @@ def list_pairs(
                         continue
                     neighbor = cell + (1 if direction == EAST else width)
                     neighbor_block = block_of(lattice, row + direction, col + 1 - direction)
-                    first_neighbor_number = first_number_of_block[neighbor_block]
+                    neighbor_offset = offset_of_block[neighbor_block]
                     first_near_surface = first_surface[neighbor]
                     end_in_neighbor = end_surface[neighbor]
                     likely_row = first_eastern_row if direction == EAST else first_southern_row
@@ -450,9 +451,7 @@ def list_pairs(
                             if (not is_at_border) if is_joined else is_too_high:
                                 continue
                             pair_kind = JOINED if is_joined else LINKED
-                            neighbor_number = (
-                                first_neighbor_number + number_in_block[neighbor_surface]
-                            )
+                            neighbor_number = neighbor_offset + number_in_block[neighbor_surface]
                             row_index = count_row(
                                 rows,
                                 num_rows_before,

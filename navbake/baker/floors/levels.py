@@ -161,6 +161,7 @@ def find_floors(
     grounds = assignment.grounds
     # growth needs neither regions nor geoms: their memory is free for it
     del classified_regions, assigned_floors, assignment
+    columns.forget_columns()
     grown_floors = grow_levels(growing_surfaces, len(grounds), agent)
     levels = []
     for name, ground, grown_floor in zip(names, grounds, grown_floors, strict=True):
@@ -215,7 +216,9 @@ def _classify_regions(
     Raises:
         SceneError: there is no floor at all, or none at a position of `floors.from`.
     """
-    regions = find_regions(find_surfaces(columns, shapes.planes, agent), agent)
+    surfaces = find_surfaces(columns, shapes.planes, agent)
+    columns.forget_columns()
+    regions = find_regions(surfaces, agent)
     if not regions.num_regions:
         raise SceneError(_explain_no_floor(columns, regions.surfaces, agent))
     region_context = RegionContext(
@@ -229,6 +232,7 @@ def _classify_regions(
         settings=settings,
         is_occupied=is_occupied,
     )
+    del surfaces, regions  # without ridges there will be others, and these take much memory
     if not settings.tops:
         region_context = _remove_ridges(region_context, settings.starts)
     is_large = region_context.is_large
@@ -268,15 +272,17 @@ def _remove_ridges(region_context: RegionContext, starts: list[list[float]]) -> 
     Raises:
         SceneError: no large region is left.
     """
-    is_ridge = find_ridges(region_context, starts)
-    if not is_ridge.any():
+    regions = region_context.regions
+    ridge_surfaces = find_ridges(region_context, starts)
+    if not len(ridge_surfaces):
         return region_context
-    remaining_regions = remove_from_regions(region_context.regions, is_ridge, region_context.agent)
+    changed_blocks = regions.list_blocks_of(ridge_surfaces)
+    remaining_regions = remove_from_regions(regions, ridge_surfaces, region_context.agent)
     is_large = find_large_remaining_regions(
         remaining_regions,
-        region_context.regions,
+        regions,
         region_context.is_large,
-        is_ridge,
+        changed_blocks,
         region_context.settings,
     )
     if not is_large.any():

@@ -138,6 +138,7 @@ def find_components(
         join_rule,
         group_of_surface,
         number_in_block=number_in_block,
+        offset_of_block=_count_components_before(blocks, block_of_component),
         block_of_component=block_of_component,
         measures=measures,
         heights=heights,
@@ -147,10 +148,11 @@ def find_components(
 def relabel_components(
     components: Components, surfaces: Surfaces, join_rule: JoinRule, changed_blocks: Int
 ) -> Components:
-    """Find the components again after surfaces in a few blocks of cells changed.
+    """Find the components again after surfaces in some blocks of cells changed.
 
     Args:
-        components: the components before the change, of surfaces without groups.
+        components: the components before the change, of surfaces without groups. Their
+            `component_of_surface` is overwritten: a large scene has no memory for one array more.
         surfaces: all surfaces after the change; outside of the blocks they are as before.
         join_rule: the rule by which `components` were found.
         changed_blocks: ids of the blocks, ascending, shape (k,). Only these are labelled again.
@@ -159,16 +161,6 @@ def relabel_components(
         The components that `find_components` would find.
     """
     blocks = Blocks(surfaces.lattice)
-    first_number_of_block = np.searchsorted(
-        components.block_of_component, np.arange(blocks.num_blocks)
-    )
-    number_in_block_of_component = (
-        np.arange(components.num_components) - first_number_of_block[components.block_of_component]
-    )
-    # the last entry is for surfaces of no component, whose number is -1
-    number_in_block = np.append(number_in_block_of_component, -1).astype(np.int32)[
-        components.component_of_surface
-    ]
     num_new_in_block, (new_measures, new_heights) = list_rows(
         kernels.label_blocks,
         changed_blocks,
@@ -176,7 +168,7 @@ def relabel_components(
         surfaces,
         NO_GROUPS,
         join_rule,
-        number_in_block,
+        components.component_of_surface,
     )
     is_unchanged = ~np.isin(components.block_of_component, changed_blocks)
     unchanged_heights = np.stack([components.lowest_z, components.highest_z], axis=1)[is_unchanged]
@@ -184,12 +176,18 @@ def relabel_components(
         [components.block_of_component[is_unchanged], np.repeat(changed_blocks, num_new_in_block)]
     )
     order_by_block = np.argsort(block_of_component, kind="stable")
+    block_of_component = block_of_component[order_by_block]
+    # the changed blocks count their components from 0, all others from their old first number
+    first_number_of_block = _count_components_before(blocks, components.block_of_component)
+    first_number_of_block[changed_blocks] = 0
     return _number_components(
         surfaces,
         join_rule,
         NO_GROUPS,
-        number_in_block=number_in_block,
-        block_of_component=block_of_component[order_by_block],
+        number_in_block=components.component_of_surface,
+        offset_of_block=_count_components_before(blocks, block_of_component)
+        - first_number_of_block,
+        block_of_component=block_of_component,
         measures=np.concatenate([components.measures[is_unchanged], new_measures])[order_by_block],
         heights=np.concatenate([unchanged_heights, new_heights])[order_by_block],
     )
@@ -201,6 +199,7 @@ def _number_components(
     group_of_surface: Int32,
     *,
     number_in_block: Int32,
+    offset_of_block: Int,
     block_of_component: Int,
     measures: Int,
     heights: Float,
@@ -211,7 +210,8 @@ def _number_components(
         surfaces: all surfaces.
         join_rule: the rule by which the components were found.
         group_of_surface: the group of each surface, see `find_components`.
-        number_in_block: for each surface, the number of its component in the block, -1 for none.
+        number_in_block: see `ComponentNumbering`.
+        offset_of_block: see `ComponentNumbering`.
         block_of_component: the block of each component, ascending, shape (components,).
         measures: see `Components`, shape (components, 7).
         heights: the lowest and the highest height of each component, shape (components, 2) [m].
@@ -219,7 +219,7 @@ def _number_components(
     blocks = Blocks(surfaces.lattice)
     numbering = ComponentNumbering(
         number_in_block=number_in_block,
-        first_number_of_block=np.searchsorted(block_of_component, np.arange(blocks.num_blocks)),
+        offset_of_block=offset_of_block,
         overall_number=np.empty(len(surfaces.z), dtype=np.int32),
     )
     _, (pairs,) = blocks.list_rows(
@@ -233,6 +233,19 @@ def _number_components(
         highest_z=heights[:, kernels.HIGHEST],
         pairs=pairs,
     )
+
+
+def _count_components_before(blocks: Blocks, block_of_component: Int) -> Int:
+    """Count, for each block, the components of all blocks before it.
+
+    Args:
+        blocks: the blocks.
+        block_of_component: the block of each component, ascending, shape (components,).
+
+    Returns:
+        Counts, shape (blocks,), int64.
+    """
+    return np.searchsorted(block_of_component, np.arange(blocks.num_blocks))
 
 
 class RegionStacks(NamedTuple):
@@ -316,6 +329,18 @@ class Regions:
         """Return the region of each surface id, -1 for surfaces without a region."""
         component = self.components.component_of_surface[surface_ids]
         return np.where(component >= 0, self.region_of_component[component], np.int32(-1))
+
+    def list_blocks_of(self, surface_ids: Int) -> Int:
+        """Return the ids of the blocks of cells that hold some surfaces of regions.
+
+        Args:
+            surface_ids: ids of surfaces, shape (n,); those without a region are left out.
+
+        Returns:
+            Ids of blocks, ascending, shape (k,).
+        """
+        component = self.components.component_of_surface[surface_ids]
+        return np.unique(self.components.block_of_component[component[component >= 0]])
 
     def find_stacks(self) -> RegionStacks:
         """Find the pairs of regions that lie above each other, and in how many cells."""
@@ -419,36 +444,28 @@ def find_regions(
     return _merge_to_regions(surfaces, find_components(surfaces, join_rule, group_of_surface))
 
 
-def remove_from_regions(regions: Regions, is_removed: Bool, agent: AgentSettings) -> Regions:
+def remove_from_regions(regions: Regions, removed_surfaces: Int, agent: AgentSettings) -> Regions:
     """Return the regions that are left after some surfaces are removed from them.
 
     No agent stands on a removed surface then (its `Surfaces.flags` are 0), but a floor beside it
     may still continue there.
 
     Args:
-        regions: all regions, as `find_regions` finds them without groups.
-        is_removed: which surfaces are removed, shape (surfaces,), bool.
+        regions: all regions, as `find_regions` finds them without groups. What they say of single
+            surfaces is overwritten; what they say of whole regions and components stays valid.
+        removed_surfaces: ids of the surfaces that are removed, shape (n,).
         agent: the agent, of which the step and slope are used.
 
     Returns:
         The regions that `find_regions` would find. Only the blocks of cells that hold removed
         surfaces are labelled again.
     """
-    flags = np.where(is_removed, np.uint8(0), regions.surfaces.flags)
-    surfaces = regions.surfaces._replace(flags=flags)
-    components = relabel_components(
-        regions.components,
-        surfaces,
-        make_region_join_rule(surfaces.lattice, agent),
-        _list_blocks_of(regions, is_removed),
-    )
+    surfaces = regions.surfaces
+    changed_blocks = regions.list_blocks_of(removed_surfaces)
+    surfaces.flags[removed_surfaces] = 0
+    join_rule = make_region_join_rule(surfaces.lattice, agent)
+    components = relabel_components(regions.components, surfaces, join_rule, changed_blocks)
     return _merge_to_regions(surfaces, components)
-
-
-def _list_blocks_of(regions: Regions, is_selected: Bool) -> Int:
-    """List the blocks of cells in which regions have selected surfaces, ascending, shape (k,)."""
-    component = regions.components.component_of_surface[is_selected]
-    return np.unique(regions.components.block_of_component[component[component >= 0]])
 
 
 def _merge_to_regions(surfaces: Surfaces, components: Components) -> Regions:
@@ -534,7 +551,7 @@ def find_large_remaining_regions(
     remaining_regions: Regions,
     regions: Regions,
     is_large: Bool,
-    is_removed: Bool,
+    changed_blocks: Int,
     settings: FloorSettings,
 ) -> Bool:
     """Mark the regions that are large enough for floors after surfaces were removed.
@@ -545,14 +562,13 @@ def find_large_remaining_regions(
         remaining_regions: the regions that are left, see `remove_from_regions`.
         regions: the regions before the removal.
         is_large: which of these were large enough, see `find_large_regions`.
-        is_removed: which surfaces were removed, shape (surfaces,), bool.
+        changed_blocks: ids of the blocks that held the removed surfaces, ascending, shape (k,).
         settings: the settings of `floors`, see `find_large_regions`.
 
     Returns:
         A mask of the remaining regions that are large enough, shape (remaining regions,), bool.
     """
-    changed_blocks = _list_blocks_of(regions, is_removed)
-    # outside of these blocks, the components are the same, in the same order
+    # outside of the changed blocks, the components are the same, in the same order
     is_same_before = ~np.isin(regions.components.block_of_component, changed_blocks)
     is_same_now = ~np.isin(remaining_regions.components.block_of_component, changed_blocks)
     region_before = np.full(remaining_regions.num_regions, -1)

@@ -26,7 +26,7 @@ MAX_RUN_LENGTH = 2.0 * RIDGE_WIDTH
 NO_RUNS = np.empty((0, 6), dtype=np.int64)
 
 
-def find_ridges(region_context: RegionContext, positions: list[list[float]]) -> Bool:
+def find_ridges(region_context: RegionContext, positions: list[list[float]]) -> Int:
     """Find ridges: the surfaces of large regions where these are narrower than 0.4 m.
 
     A ridge has a drop on both sides. Its width is measured along rows of cells that cross it along
@@ -39,12 +39,11 @@ def find_ridges(region_context: RegionContext, positions: list[list[float]]) -> 
             position on it is a floor, and not marked.
 
     Returns:
-        A mask of the surfaces, shape (surfaces,).
+        Ids of the surfaces, ascending, shape (n,), int64.
     """
     regions = region_context.regions
     surfaces = regions.surfaces
     cell_size = regions.lattice.cell_size
-    is_ridge = np.zeros(len(surfaces.z), dtype=np.bool_)
     join_rule = make_region_join_rule(regions.lattice, region_context.agent)
     max_run_cells = int(MAX_RUN_LENGTH / cell_size + LIMIT_SLACK)
     labelled_surfaces = regions.label_surfaces(region_context.is_large)
@@ -53,7 +52,7 @@ def find_ridges(region_context: RegionContext, positions: list[list[float]]) -> 
     )
     runs = runs[_mark_runs_between_drops(region_context, runs)]
     if not len(runs):
-        return is_ridge
+        return np.empty(0, dtype=np.int64)
     surface_ids, cell_ids, region_width = _measure_widths(surfaces, join_rule, runs)
     is_narrow = region_width < RIDGE_WIDTH - LIMIT_SLACK
     surface_ids = surface_ids[is_narrow]
@@ -68,8 +67,8 @@ def find_ridges(region_context: RegionContext, positions: list[list[float]]) -> 
     is_floor_ridge |= _mark_ridges_at_positions(
         ridge_of_surface, surface_ids, cell_ids, region_context, positions
     )
-    is_ridge[surface_ids[~is_floor_ridge[ridge_of_surface]]] = True
-    return is_ridge
+    ridge_surfaces: Int = surface_ids[~is_floor_ridge[ridge_of_surface]]
+    return ridge_surfaces
 
 
 def _measure_widths(surfaces: Surfaces, join_rule: JoinRule, runs: Int) -> tuple[Int, Int, Float]:

@@ -6,14 +6,11 @@ geometry that faces up.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from navbake.baker.columns.columns import ColumnSource, cast_columns, tile_shapes
 from navbake.baker.core.arrays import Planes
-from navbake.baker.core.blocks import Blocks, join_arrays, list_rows
+from navbake.baker.core.blocks import Blocks, RowsBuilder, list_rows_in_pieces
 from navbake.baker.core.limits import make_agent_limits
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.surface_kernels import Surfaces, list_surfaces
@@ -78,13 +75,13 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
         np.empty((0, num_axes), dtype=np.float32),
     )
     blocks = Blocks(lattice)
-    first_surface = np.empty(lattice.width * lattice.height, dtype=np.int32)
-    end_surface = np.empty(lattice.width * lattice.height, dtype=np.int32)
-    num_surfaces = 0
-    arrays_by_chunk: list[list[NDArray[Any]]] = []
+    first_surface = np.empty(lattice.shape, dtype=np.int32)
+    end_surface = np.empty(lattice.shape, dtype=np.int32)
+    surfaces_builder = RowsBuilder(no_rows)
     for chunk in columns.row_chunks():
-        cells = blocks.list_cells(chunk.valid_rows.first, chunk.valid_rows.end)
-        num_surfaces_in_cell, row_arrays = list_rows(
+        first_row, end_row = chunk.valid_rows
+        cells = blocks.list_cells(first_row, end_row)
+        num_surfaces_in_cell, pieces = list_rows_in_pieces(
             list_surfaces,
             cells,
             no_rows,
@@ -95,16 +92,14 @@ def find_surfaces(columns: ColumnSource, planes: Planes, agent: AgentSettings) -
             least=LEAST_CELLS,
         )
         # surfaces of this chunk come after those of earlier chunks
-        end_of_cells = np.cumsum(num_surfaces_in_cell, dtype=np.int32)
-        end_of_cells += num_surfaces
-        first_of_cells = end_of_cells - num_surfaces_in_cell.astype(np.int32)
-        cell_range = slice(*chunk.valid_rows.cell_range(lattice))
-        end_surface[cell_range] = blocks.order_by_cell(end_of_cells, chunk.valid_rows.first)
-        first_surface[cell_range] = blocks.order_by_cell(first_of_cells, chunk.valid_rows.first)
-        num_surfaces += len(row_arrays[0])
-        arrays_by_chunk.append(row_arrays)
-    z, geom, flags, normal = join_arrays(arrays_by_chunk)
-    return Surfaces(lattice, first_surface, end_surface, z, geom, flags, normal)
+        start = np.zeros(len(cells) + 1, dtype=np.int32)
+        np.cumsum(num_surfaces_in_cell, out=start[1:])
+        start += np.int32(surfaces_builder.num_rows)
+        blocks.order_by_cell(start[:-1], first_row, first_surface[first_row:end_row])
+        blocks.order_by_cell(start[1:], first_row, end_surface[first_row:end_row])
+        surfaces_builder.append(pieces, end_row / lattice.height)
+    z, geom, flags, normal = surfaces_builder.build()
+    return Surfaces(lattice, first_surface.ravel(), end_surface.ravel(), z, geom, flags, normal)
 
 
 def find_highest_within_step(

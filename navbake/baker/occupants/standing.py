@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.baker.columns.columns import ColumnSource, ShapeSource
-from navbake.baker.core.blocks import LEAST_BLOCKS, Blocks, list_rows
+from navbake.baker.core.blocks import LEAST_BLOCKS, Blocks, RowsBuilder, list_rows
 from navbake.baker.core.clock import StageClock
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.levels import Floors
@@ -44,8 +44,6 @@ from navbake.navgrid.lattice import Lattice
 from navbake.threads import LEAST_CELLS, run_in_chunks
 from navbake.types import Bool
 
-# An array that is too small is replaced by one of the expected final size, times this
-SPARE_FACTOR = 1.1
 # Empty rows of `measure_blocks`
 NO_ROWS = (np.empty((0, 7), dtype=np.int64), np.empty((0, 2)))
 
@@ -185,15 +183,15 @@ class OccupantsBuilder:
 
     def __init__(self, lattice: Lattice, num_levels: int) -> None:
         num_cells = lattice.width * lattice.height
-        self._num_entries = 0
-        self._geom = np.empty(0, dtype=np.int32)
-        self._flags = np.empty(0, dtype=np.uint8)
+        no_geoms = np.empty(0, dtype=np.int32)
+        no_flags = np.empty(0, dtype=np.uint8)
+        self._lists_builder = RowsBuilder([no_geoms, no_flags])
         self._levels = [
             LevelOccupants(
                 lattice=lattice,
                 list_start=np.zeros(num_cells, dtype=np.int32),
-                geom=self._geom,
-                flags=self._flags,
+                geom=no_geoms,
+                flags=no_flags,
                 floor_geom=np.full(num_cells, -1, dtype=np.int32),
                 gap_below=np.full(num_cells, np.inf),
             )
@@ -212,37 +210,19 @@ class OccupantsBuilder:
                 (0, 1].
         """
         occupancy = occupancy_by_level[0].occupancy
-        first_entry = self._num_entries
-        end_entry = first_entry + len(occupancy.geom)
-        if end_entry > len(self._geom):
-            capacity = (
-                int(end_entry * SPARE_FACTOR / appended_fraction)
-                if appended_fraction < 1.0
-                else end_entry
-            )
-            geom = np.empty(capacity, dtype=np.int32)
-            flags = np.empty(capacity, dtype=np.uint8)
-            geom[:first_entry] = self._geom[:first_entry]
-            flags[:first_entry] = self._flags[:first_entry]
-            self._geom = geom
-            self._flags = flags
-        self._geom[first_entry:end_entry] = occupancy.geom
-        self._flags[first_entry:end_entry] = occupancy.flags
+        first_entry = np.int32(self._lists_builder.num_rows)
+        self._lists_builder.append([[occupancy.geom, occupancy.flags]], appended_fraction)
         for occupants, level_occupancy in zip(self._levels, occupancy_by_level, strict=True):
             cells = level_occupancy.cells
-            occupants.list_start[cells] = level_occupancy.occupant_lists.list_start + np.int32(
-                first_entry
-            )
+            occupants.list_start[cells] = level_occupancy.occupant_lists.list_start + first_entry
             occupants.floor_geom[cells] = level_occupancy.occupant_lists.floor_geom
             occupants.gap_below[cells] = level_occupancy.occupant_lists.gap_below
-        self._num_entries = end_entry
 
     @property
     def occupants(self) -> list[LevelOccupants]:
         """The occupants of each level; cells that were not appended have empty lists."""
-        return [
-            occupants._replace(geom=self._geom, flags=self._flags) for occupants in self._levels
-        ]
+        geom, flags = self._lists_builder.build()
+        return [occupants._replace(geom=geom, flags=flags) for occupants in self._levels]
 
 
 def classify_occupants(

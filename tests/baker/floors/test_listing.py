@@ -159,9 +159,18 @@ def test_regions_without_some_surfaces_are_those_of_the_others(tmp_path, seed, n
     is_removed = np.zeros(len(surfaces.z), dtype=np.bool_)
     first = np.random.default_rng(seed).integers(0, max(len(surfaces.z) - num_removed, 1))
     is_removed[first : first + num_removed] = True
-    remaining = remove_from_regions(regions, is_removed, agent)
+    removed_surfaces = np.flatnonzero(is_removed)
     flags = np.where(is_removed, 0, surfaces.flags).astype(np.uint8)
     expected = find_regions(surfaces._replace(flags=flags), agent)
+    changed_blocks = regions.list_blocks_of(removed_surfaces)
+    limits_to_try = [
+        settings.model_copy(update={"min_area": min_area, "shrink": 0.0})
+        for min_area in (0.01, 0.1, 1.0)
+    ]
+    is_large_before = [
+        find_large_regions(regions, regions.num_surfaces > 0, limits) for limits in limits_to_try
+    ]
+    remaining = remove_from_regions(regions, removed_surfaces, agent)
     assert np.array_equal(remaining.surfaces.flags, flags)
     for name in ("num_surfaces", "num_uncovered", "box", "lowest_z", "highest_z"):
         assert np.array_equal(getattr(remaining, name), getattr(expected, name)), name
@@ -169,11 +178,9 @@ def test_regions_without_some_surfaces_are_those_of_the_others(tmp_path, seed, n
     for name in expected.components._fields:
         values = getattr(remaining.components, name)
         assert np.array_equal(values, getattr(expected.components, name)), name
-    for min_area in (0.01, 0.1, 1.0):
-        limits = settings.model_copy(update={"min_area": min_area, "shrink": 0.0})
-        is_large = find_large_regions(regions, regions.num_surfaces > 0, limits)
+    for limits, is_large in zip(limits_to_try, is_large_before, strict=True):
         is_large_now = find_large_remaining_regions(
-            remaining, regions, is_large, is_removed, limits
+            remaining, regions, is_large, changed_blocks, limits
         )
         assert np.array_equal(
             is_large_now, find_large_regions(expected, expected.num_surfaces > 0, limits)
