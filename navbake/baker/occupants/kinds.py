@@ -664,32 +664,38 @@ def mark_ceilings(
     return is_ceiling
 
 
-def find_steps(floors: Floors, floor_geom: Int32, lattice: Lattice) -> FloorSteps:
+def find_steps(
+    floors: Floors, floor_geoms_by_level: Sequence[Int32], lattice: Lattice
+) -> FloorSteps:
     """Find the steps between the floors of two geoms in adjacent cells, on one level or on two.
 
     Args:
         floors: the floors of all levels, and the steps between levels.
-        floor_geom: the id of the geom whose surface is the floor, -1 for none, shape (levels,
-            cells).
+        floor_geoms_by_level: for each level, the id of the geom whose surface is the floor, -1 for
+            none, shape (cells,).
         lattice: the lattice of the floors.
 
     Returns:
         The steps, one for each pair of adjacent cells.
     """
-    num_cells = floor_geom.shape[1]
-    # cells of all levels are numbered one level after the other: level * num_cells + cell
-    floor_heights = np.concatenate([level.floor.ravel() for level in floors.levels])
-    from_level, from_cell, to_level, to_cell = floors.steps.T
-    from_index = from_level * num_cells + from_cell
-    to_index = to_level * num_cells + to_cell
-    cell_pair_arrays = [np.stack([from_index, to_index], axis=1)]
-    for level_number, level_floor_geom in enumerate(floor_geom):
-        cell_pairs = list_differing_pairs(level_floor_geom.reshape(lattice.shape)).T
-        has_both_floors = (level_floor_geom[cell_pairs] >= 0).all(axis=1)
-        cell_pair_arrays.append(cell_pairs[has_both_floors] + level_number * num_cells)
-    cell_pairs = np.concatenate(cell_pair_arrays)
-    height_difference = floor_heights[cell_pairs[:, 1]] - floor_heights[cell_pairs[:, 0]]
-    geom_pairs = floor_geom.ravel()[cell_pairs].astype(np.int64)
+    num_steps = len(floors.steps)
+    geom_pairs = np.empty((num_steps, 2), dtype=np.int64)
+    heights = np.empty((num_steps, 2))
+    for end_of_step, (level_col, cell_col) in enumerate(((0, 1), (2, 3))):
+        for level_number, level in enumerate(floors.levels):
+            is_on_level = floors.steps[:, level_col] == level_number
+            cells = floors.steps[is_on_level, cell_col]
+            geom_pairs[is_on_level, end_of_step] = floor_geoms_by_level[level_number][cells]
+            heights[is_on_level, end_of_step] = level.floor.ravel()[cells]
+    geom_pair_arrays = [geom_pairs]
+    height_arrays = [heights]
+    for level, level_floor_geoms in zip(floors.levels, floor_geoms_by_level, strict=True):
+        cell_pairs = list_differing_pairs(level_floor_geoms.reshape(lattice.shape)).T
+        cell_pairs = cell_pairs[(level_floor_geoms[cell_pairs] >= 0).all(axis=1)]
+        geom_pair_arrays.append(level_floor_geoms[cell_pairs].astype(np.int64))
+        height_arrays.append(level.floor.ravel()[cell_pairs])
+    geom_pairs = np.concatenate(geom_pair_arrays)
+    height_difference = np.diff(np.concatenate(height_arrays), axis=1)[:, 0]
     geom_pairs[height_difference < 0] = geom_pairs[height_difference < 0, ::-1]
     return FloorSteps(
         lower_geom=geom_pairs[:, 0], higher_geom=geom_pairs[:, 1], height=np.abs(height_difference)

@@ -248,10 +248,9 @@ def classify_occupants(
     """
     sizes, floor_counts = _measure_levels(levels, floors, extents)
     lattice = levels[0].lattice
-    floor_geom = np.stack([occupants.floor_geom for occupants in levels])
     floor_geoms = classify_floor_geoms(
         floor_counts,
-        steps=find_steps(floors, floor_geom, lattice),
+        steps=find_steps(floors, [occupants.floor_geom for occupants in levels], lattice),
         cell_size=lattice.cell_size,
         max_step=agent.traversable_floor_height,
     )

@@ -114,9 +114,8 @@ def segment_by_gaps(
         analysis" (ICRA 2016), on spaces between the "virtual walls" that continue walls, in
         place of those of a Voronoi graph.
     """
-    segment = np.zeros(level.is_open.shape, dtype=np.int32)
     if not level.is_open.any():
-        return segment, []
+        return np.zeros(level.is_open.shape, dtype=np.int32), []
     # with the cells around it: walls there have directions that count; the grid's edge is no wall
     open_rows, open_cols = bounding_window(level.is_open)
     window = (
@@ -163,8 +162,14 @@ def segment_by_gaps(
         cell_size=cell_size,
         min_area=min_area,
     )
+    del label  # there may be no memory for it beside the segments
     segment_of_run, _ = number_in_order(space_of_label[runs.value])
-    segment[window] = runs.paint(segment_of_run, label.shape)
+    runs_in_level = runs._replace(
+        row=runs.row + row_slice.start,
+        first_col=runs.first_col + col_slice.start,
+        end_col=runs.end_col + col_slice.start,
+    )
+    segment = runs_in_level.paint(segment_of_run.astype(np.int32), level.is_open.shape)
     close_calls = [
         close_call._replace(
             row_col=(

@@ -549,9 +549,13 @@ def _to_fortran_order(array: NDArray[ScalarT]) -> NDArray[ScalarT]:
     if array.flags.f_contiguous:
         return array
     array_in_order = np.empty_like(array, order="F")
-    for first_row in range(0, len(array), ROWS_PER_COPY):
-        rows = slice(first_row, first_row + ROWS_PER_COPY)
-        array_in_order[rows] = array[rows]
+
+    def copy_rows(begin: int, end: int) -> None:
+        for first_row in range(begin, end, ROWS_PER_COPY):
+            rows = slice(first_row, min(first_row + ROWS_PER_COPY, end))
+            array_in_order[rows] = array[rows]
+
+    run_in_chunks(copy_rows, len(array), min_chunk_size=ROWS_PER_COPY)
     return array_in_order
 
 
@@ -656,8 +660,10 @@ class WallRays:
         """
         self._lattice = lattice
         self._floor = floor
-        heights = floor[~np.isnan(floor)]
         # of floors side by side at one height, one is enough
+        is_listed = ~np.isnan(floor)
+        is_listed[:, 1:] &= floor[:, 1:] != floor[:, :-1]
+        heights = floor[is_listed]
         heights = heights[np.append(True, heights[1:] != heights[:-1])] + RAY_HEIGHT
         # most walls of a tower are on other levels
         is_box_at_rays = (walls.boxes[:, 2] <= heights.max() + TILE_MARGIN) & (
