@@ -289,6 +289,7 @@ class Stages:
                 floors=floors,
                 footprint=self.footprint,
                 agent=self.config.agent,
+                extents=self.extents,
                 wall_candidates=wall_candidates,
                 clock=self.clock,
             )

@@ -35,6 +35,10 @@ MIN_BOTTOM_HEIGHT = 0  # the least height of the geom's lower end over a floor
 # The greatest height of the geom's upper end over its lower end, or over the floor if higher
 MAX_RISE = 1
 
+# Bits of `LevelOccupants.floor_flags`: the geom whose surface is the floor ...
+ON_FLOOR = np.uint8(1)  # lies on the floor of another geom
+COVERING = np.uint8(2)  # only covers the floor of another geom, as a rug does
+
 
 class LevelOccupants(NamedTuple):
     """The geoms in a level's cells.
@@ -53,8 +57,8 @@ class LevelOccupants(NamedTuple):
             candidates have it.
         floor_geom: the id of the geom whose surface is the cell's floor, -1 for none, (cells,),
             int32.
-        gap_below: how far below the floor the next surface of another geom lies [m], inf for none;
-            surfaces that are too steep for a floor don't count; (cells,), float64.
+        floor_flags: bits that say how the geom of `floor_geom` lies on another one: ON_FLOOR and
+            COVERING; (cells,), uint8.
     """
 
     lattice: Lattice
@@ -62,7 +66,7 @@ class LevelOccupants(NamedTuple):
     geom: Int32
     flags: NDArray[np.uint8]
     floor_geom: Int32
-    gap_below: Float
+    floor_flags: NDArray[np.uint8]
 
 
 class FloorLayers(NamedTuple):
@@ -78,21 +82,15 @@ class FloorLayers(NamedTuple):
 
 
 class GeomHeights(NamedTuple):
-    """Heights of all geoms, by geom id, and limits of gaps below their surfaces.
+    """Heights of all geoms, by geom id.
 
     Attributes:
         low: height of the lower end [m], NaN for an endless plane, float64.
         high: height of the upper end [m], NaN for an endless plane, float64.
-        max_on_floor_gap: by geom id: the geom counts as lying on the floor below it if its own
-            surface is at most this high above that floor [m], float64.
-        max_cover_gap: a geom only covers the floor below it (a rug) if its surface is at most this
-            high above that floor [m].
     """
 
     low: Float
     high: Float
-    max_on_floor_gap: Float
-    max_cover_gap: float
 
 
 @subkernel(**NO_REFCOUNT)
@@ -178,17 +176,15 @@ def measure_blocks(
                     if geom_top - max(geom_bottom, floor) > heights[row, MAX_RISE]:
                         heights[row, MAX_RISE] = geom_top - max(geom_bottom, floor)
                 floor_geom = occupants.floor_geom[cell]
-                gap_below = occupants.gap_below[cell]
+                floor_flags = occupants.floor_flags[cell]
                 if floor_geom >= 0:
                     row = _get_row(rows, row_of_geom, first_row, num_rows, floor_geom)
                     if row < 0:
                         return block_index
                     num_rows = max(num_rows, row + 1)
                     counts[row, NUM_FLOORS] += 1
-                    counts[row, NUM_ON_FLOORS] += (
-                        1 if gap_below <= geom_heights.max_on_floor_gap[floor_geom] else 0
-                    )
-                    counts[row, NUM_COVERS] += 1 if gap_below <= geom_heights.max_cover_gap else 0
+                    counts[row, NUM_ON_FLOORS] += 1 if floor_flags & ON_FLOOR else 0
+                    counts[row, NUM_COVERS] += 1 if floor_flags & COVERING else 0
                     counts[row, IS_STANDABLE] |= 1 if floors.standable[cell] else 0
         num_rows_in_block[block_index] = num_rows - first_row
     return end_block

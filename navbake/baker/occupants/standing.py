@@ -118,6 +118,7 @@ def find_standing_cells(
     floors: Floors,
     footprint: Footprint,
     agent: AgentSettings,
+    extents: Extents | None,
     wall_candidates: Bool | None,
     clock: StageClock,
 ) -> StandingCells:
@@ -129,6 +130,7 @@ def find_standing_cells(
         floors: the floors of all levels.
         footprint: the volume over a floor that has to be free.
         agent: the agent; its height, highest step and largest slope are read.
+        extents: bounding boxes of the structure's geoms; None to list no occupants.
         wall_candidates: mask by geom id of the geoms whose shape may be that of a wall, bool; None
             to list no occupants.
         clock: measures the time for the flags, which counts as a part of the stage of rooms.
@@ -141,8 +143,8 @@ def find_standing_cells(
         blocked_square_masks = [mask.copy() for mask in occupied_masks]
     column_flags = [np.empty(num_cells, dtype=np.uint8) for _ in floors.levels]
     occupants_builder = None
-    if wall_candidates is not None:
-        occupants_builder = OccupantsBuilder(lattice, len(floors.levels))
+    if extents is not None:
+        occupants_builder = OccupantsBuilder(lattice, len(floors.levels), extents)
     for chunk in columns.row_chunks():
         tiled_shapes = chunk.nearby_shapes or shape_source.shapes_near_rows(chunk.valid_rows)
         first_cell, end_cell = chunk.valid_rows.cell_range(lattice)
@@ -181,7 +183,7 @@ def find_standing_cells(
 class OccupantsBuilder:
     """Collects the occupants of all levels while their cells are checked in chunks."""
 
-    def __init__(self, lattice: Lattice, num_levels: int) -> None:
+    def __init__(self, lattice: Lattice, num_levels: int, extents: Extents) -> None:
         num_cells = lattice.width * lattice.height
         no_geoms = np.empty(0, dtype=np.int32)
         no_flags = np.empty(0, dtype=np.uint8)
@@ -193,10 +195,14 @@ class OccupantsBuilder:
                 geom=no_geoms,
                 flags=no_flags,
                 floor_geom=np.full(num_cells, -1, dtype=np.int32),
-                gap_below=np.full(num_cells, np.inf),
+                floor_flags=np.zeros(num_cells, dtype=np.uint8),
             )
             for _ in range(num_levels)
         ]
+        # by geom id: how high the geom's surface is over a floor that it lies on, at most [m]
+        self._max_gap_on_floor = LIMIT_SLACK + np.fmax(
+            extents.top - extents.bottom + MAX_COVERING_HEIGHT, MAX_THING_HEIGHT
+        )
 
     def append(
         self, occupancy_by_level: Sequence[LevelOccupancy], appended_fraction: float
@@ -214,9 +220,15 @@ class OccupantsBuilder:
         self._lists_builder.append([[occupancy.geom, occupancy.flags]], appended_fraction)
         for occupants, level_occupancy in zip(self._levels, occupancy_by_level, strict=True):
             cells = level_occupancy.cells
-            occupants.list_start[cells] = level_occupancy.occupant_lists.list_start + first_entry
-            occupants.floor_geom[cells] = level_occupancy.occupant_lists.floor_geom
-            occupants.gap_below[cells] = level_occupancy.occupant_lists.gap_below
+            lists = level_occupancy.occupant_lists
+            # without a geom, -1, the bits are not read
+            is_on_floor = lists.gap_below <= self._max_gap_on_floor[lists.floor_geom]
+            is_covering = lists.gap_below <= MAX_COVERING_HEIGHT + LIMIT_SLACK
+            occupants.list_start[cells] = lists.list_start + first_entry
+            occupants.floor_geom[cells] = lists.floor_geom
+            occupants.floor_flags[cells] = is_on_floor * kernels.ON_FLOOR | (
+                is_covering * kernels.COVERING
+            )
 
     @property
     def occupants(self) -> list[LevelOccupants]:
@@ -286,15 +298,7 @@ def _measure_levels(
     """
     lattice = levels[0].lattice
     num_geoms = len(extents.bottom)
-    geom_heights = GeomHeights(
-        low=extents.bottom,
-        high=extents.top,
-        max_on_floor_gap=(
-            np.fmax(extents.top - extents.bottom + MAX_COVERING_HEIGHT, MAX_THING_HEIGHT)
-            + LIMIT_SLACK
-        ),
-        max_cover_gap=MAX_COVERING_HEIGHT + LIMIT_SLACK,
-    )
+    geom_heights = GeomHeights(low=extents.bottom, high=extents.top)
     min_bottom_over_floor = np.full(num_geoms, np.inf)
     max_top_over_bottom = np.full(num_geoms, -np.inf)
     is_stood_on = np.zeros(num_geoms, dtype=np.bool_)

@@ -30,7 +30,7 @@ def random_lists(rng: np.random.Generator) -> tuple[LevelOccupants, list[list[tu
             first[cell] = len(entries)
             entries += [*lists[cell], (-1, 0)]
     geom, flags = np.array(entries).T
-    none = np.full(CELLS, -1, dtype=np.int32), np.full(CELLS, np.inf)
+    none = np.full(CELLS, -1, dtype=np.int32), np.zeros(CELLS, dtype=np.uint8)
     line = Lattice(0.0, 0.0, 0.25, CELLS, 1)
     return LevelOccupants(line, first, geom.astype(np.int32), flags.astype(np.uint8), *none), lists
 
