@@ -65,7 +65,13 @@ from navbake.formats.xml_files import find_root_tag, parse_xml
 from navbake.known_names import list_first, unique_name
 from navbake.lazy import resolve
 from navbake.mujoco_types import MjDataLike, MjModelLike, MjSpecLike
-from navbake.processes import describe_exit, end_with_parent, is_lack_of_memory, limit_memory
+from navbake.processes import (
+    describe_exit,
+    end_with_parent,
+    give_back_memory,
+    is_lack_of_memory,
+    limit_memory,
+)
 
 if TYPE_CHECKING:
     import trimesh
@@ -88,6 +94,8 @@ CONVERSIONS = {
 }
 XML_ERRORS = (ElementTree.ParseError, ValueError, LookupError)
 DEFAULT_MODEL_NAME = "MuJoCo Model"  # MuJoCo's default name of a model
+# Memory that was freed is given back after a model of at least this size was compiled [bytes]
+LARGE_MODEL_SIZE = 1 << 24
 # Sizes that a MjData and a model must have in common: the places of geoms depend on them
 POSE_SIZES = ("nq", "nmocap", "nbody", "ngeom")
 
@@ -180,6 +188,8 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> SceneModel:
             raise SceneError(f"cannot tell what {path} is: expected one of {suffixes}")
     except OSError as error:
         raise SceneError(f"cannot read {path}: {error.strerror or error}") from error
+    if model.nbuffer >= LARGE_MODEL_SIZE:
+        give_back_memory()  # what the compiler freed is several times as large as the model
     ground_geom = find_ground(model, settings)
     return SceneModel(model, exact_meshes, ground_geom, warnings, named_leaves=named_leaves)
 

@@ -12,7 +12,7 @@ from navbake.baker.columns import column_sources
 from navbake.baker.columns import columns as columns_module
 from navbake.baker.columns.column_sources import ChunkedShapes, ColumnCaster, join_columns
 from navbake.baker.columns.columns import Columns, ShapeSource, split_into_row_chunks
-from navbake.baker.core.blocks import Blocks
+from navbake.baker.core.blocks import Blocks, RowsBuilder
 from navbake.baker.core.clock import StageClock
 from navbake.baker.core.tiles import BLOCK
 from navbake.baker.geometry import shapes as shapes_module
@@ -242,6 +242,27 @@ def test_cells_are_listed_block_by_block_and_brought_back(shape):
         cells_by_row = np.empty((end_row - first_row, width), dtype=np.int64)
         blocks.order_by_cell(listed_cells, first_row, cells_by_row)
         np.testing.assert_array_equal(cells_by_row.ravel(), cells)
+
+
+@pytest.mark.parametrize(
+    "rows_by_chunk", [[[7]], [[0], [3, 0, 2]], [[1, 1], [90, 40], [0], [200]], [[], [5]]]
+)
+def test_rows_of_chunks_are_appended_one_after_the_other(rows_by_chunk):
+    """Later chunks may have many more rows than the first one lets expect."""
+    rng = np.random.default_rng(0)
+    builder = RowsBuilder([np.empty(0, dtype=np.int32), np.empty((0, 3))])
+    expected_rows = [[np.empty(0, dtype=np.int32)], [np.empty((0, 3))]]
+    for chunk_index, num_rows_of_pieces in enumerate(rows_by_chunk):
+        pieces = []
+        for num_rows in num_rows_of_pieces:
+            pieces.append([np.arange(num_rows, dtype=np.int32), rng.random((num_rows, 3))])
+            for arrays, piece_array in zip(expected_rows, pieces[-1], strict=True):
+                arrays.append(piece_array)
+        builder.append(pieces, (chunk_index + 1) / len(rows_by_chunk))
+    assert builder.num_rows == sum(map(sum, rows_by_chunk))
+    for array, arrays in zip(builder.build(), expected_rows, strict=True):
+        assert array.dtype == arrays[0].dtype
+        np.testing.assert_array_equal(array, np.concatenate(arrays))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
