@@ -227,7 +227,11 @@ class FloorCheck:
         for cell, has_no_floor in enumerate(np.isnan(sample.floor).tolist()):
             position = sample.position(cell)
             x, y, z = position
-            vertical_line = self._probe.cast_line(x, y)
+            row = int(sample.rows[cell]) + lattice_shift.rows
+            col = int(sample.cols[cell]) + lattice_shift.cols
+            # the line of the lattice's cell, unless its centre is rounded otherwise
+            is_same_line = self._center(row, col) == (x, y)
+            vertical_line = self._line_at(row, col) if is_same_line else self._probe.cast_line(x, y)
             tolerance = compute_floor_tolerance(x, y, z)
             standable_hits = vertical_line.find_standable_hits(
                 self._agent.height, self._agent.min_normal_z
@@ -236,8 +240,6 @@ class FloorCheck:
                 counts.floors += 1
             is_unchecked = has_no_floor or bool(is_unseen[sample.rows[cell], sample.cols[cell]])
             if is_unchecked or vertical_line.has_upward_hit(z - tolerance, z + tolerance):
-                row = int(sample.rows[cell]) + lattice_shift.rows
-                col = int(sample.cols[cell]) + lattice_shift.cols
                 for hit in standable_hits:
                     is_missing = not self._has_floor(row, col, hit.z)
                     if is_missing and self._place_near(row, col, hit.z) is not None:

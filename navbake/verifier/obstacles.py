@@ -235,6 +235,19 @@ class Obstacles:
         """Return the name of the geom that an obstacle belongs to."""
         return self.geom_names[self.shapes[obstacle].geom]
 
+    def find_on_line(self, x: float, y: float) -> list[int]:
+        """Return the ids of the obstacles whose bounding boxes a vertical line meets, ascending.
+
+        Args:
+            x: World x of the line [m].
+            y: World y of the line [m].
+        """
+        is_met = (self._low[0] <= x) & (self._high[0] >= x)
+        is_met &= self._low[1] <= y
+        is_met &= self._high[1] >= y
+        obstacles: list[int] = is_met.nonzero()[0].tolist()
+        return obstacles
+
     def find_overlapping(self, low_corner: ArrayLike, high_corner: ArrayLike) -> list[int]:
         """Return the ids of the obstacles whose bounding boxes overlap a box, ascending.
 

@@ -19,7 +19,9 @@ from navbake.types import Float, Vector3
 from navbake.verifier.mesh_parts import CAVITY, SOLID
 from navbake.verifier.obstacles import CONVEX, HALF_SPACE, HEIGHT_FIELD, Obstacles
 
-GEOM = mujoco.mjtGeom
+# as numbers: a comparison with a constant of MuJoCo's takes as long as a ray through a box
+MESH_TYPE = int(mujoco.mjtGeom.mjGEOM_MESH)
+HEIGHT_FIELD_TYPE = int(mujoco.mjtGeom.mjGEOM_HFIELD)
 
 UPWARD = 1
 DOWNWARD = -1
@@ -114,10 +116,7 @@ class VerticalLine(NamedTuple):
 
     def is_inside(self, z: float) -> bool:
         """Return whether a height [m] lies inside of a solid, or a solid stands directly on it."""
-        return any(
-            low <= z + SAME_HEIGHT_TOLERANCE and high > z + SAME_HEIGHT_TOLERANCE
-            for low, high in self.solid_ranges
-        )
+        return any(low <= z + SAME_HEIGHT_TOLERANCE < high for low, high in self.solid_ranges)
 
     def has_upward_hit(self, low: float, high: float) -> bool:
         """Return whether the line meets an upward surface between two heights.
@@ -148,15 +147,15 @@ class VerticalLine(NamedTuple):
                 slope.
         """
         standable_hits: list[SurfaceHit] = []
-        for hit in self.hits:
+        for index, hit in enumerate(self.hits):
             if hit.normal_z < min_normal_z - NORMAL_Z_SLACK or self.is_inside(hit.z):
                 continue
             heights_above = (
                 hit_above.z
-                for hit_above in self.hits
+                for hit_above in self.hits[index + 1 :]
                 if hit_above.z > hit.z + SAME_HEIGHT_TOLERANCE
             )
-            ceiling = min(heights_above, default=np.inf)
+            ceiling = next(heights_above, np.inf)
             is_new_height = (
                 not standable_hits or hit.z - standable_hits[-1].z > SAME_HEIGHT_TOLERANCE
             )
@@ -229,6 +228,10 @@ class ObstacleProbe:
         self._prism = UprightPrism(0.0, 0.0, 0.0, False)
         self._prism_object = lru_cache(4096)(_make_prism_object)
         self._geom_type = obstacles.model.geom_type.tolist()
+        # views of the rows, which would be made anew for each ray
+        self._geom_positions = list(obstacles.geom_positions)
+        self._geom_rotations = list(obstacles.geom_rotations)
+        self._geom_sizes = list(obstacles.geom_sizes)
         self._normal = np.zeros(3)
         self._ray_origin = np.zeros(3)
 
@@ -237,7 +240,7 @@ class ObstacleProbe:
         hits: list[SurfaceHit] = []
         solid_ranges: list[HeightRange] = []
         depth_changes: list[tuple[float, int]] = []  # height, and the change of the depth there
-        for obstacle in self.obstacles.find_overlapping((x, y, -np.inf), (x, y, np.inf)):
+        for obstacle in self.obstacles.find_on_line(x, y):
             kind = self.obstacles.shapes[obstacle].kind
             obstacle_hits = self._find_surface_hits(obstacle, x, y)
             hits += obstacle_hits
@@ -308,7 +311,7 @@ class ObstacleProbe:
         normals_z = [
             hit.normal_z for geom in geom_ids for hit in self._find_hits(geom, *point, UPWARD)
         ]
-        if self._geom_type[obstacle] == GEOM.mjGEOM_HFIELD:  # its underside is entered first
+        if self._geom_type[obstacle] == HEIGHT_FIELD_TYPE:  # its underside is entered first
             return SurfaceCrossings((len(normals_z) + 1) // 2, len(normals_z) // 2)
         num_exits = sum(normal_z > 0 for normal_z in normals_z)
         num_entries = sum(normal_z < 0 for normal_z in normals_z)
@@ -359,19 +362,19 @@ class ObstacleProbe:
         ray_origin[:] = x, y, z
         ray_vector = RAY_DIRECTIONS[direction]
         hit_normal = self._normal
-        if geom_type == GEOM.mjGEOM_MESH:
+        if geom_type == MESH_TYPE:
             distance = mujoco.mj_rayMesh(
                 obstacles.model, obstacles.data, geom, ray_origin, ray_vector, hit_normal
             )
-        elif geom_type == GEOM.mjGEOM_HFIELD:
+        elif geom_type == HEIGHT_FIELD_TYPE:
             distance = mujoco.mj_rayHfield(
                 obstacles.model, obstacles.data, geom, ray_origin, ray_vector, hit_normal
             )
         else:
             distance = mujoco.mju_rayGeom(
-                obstacles.geom_positions[geom],
-                obstacles.geom_rotations[geom],
-                obstacles.geom_sizes[geom],
+                self._geom_positions[geom],
+                self._geom_rotations[geom],
+                self._geom_sizes[geom],
                 ray_origin,
                 ray_vector,
                 geom_type,
