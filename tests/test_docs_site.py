@@ -37,19 +37,15 @@ def copy_sources(folder):
     return root
 
 
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [
-        ("[broken](nowhere.md)", "nowhere.md"),
-        ("[broken](paths.md#nonsense)", "nonsense"),
-    ],
-)
-def test_a_broken_link_is_an_error(tmp_path, text, named):
+def test_a_broken_link_is_an_error(tmp_path):
     root = copy_sources(tmp_path)
     with (root / "docs" / "limits.md").open("a", encoding="utf-8") as page:
-        page.write(text)
-    with pytest.raises(SystemExit, match=named):
+        page.write("[broken](nowhere.md)")
+        page.write("[broken](paths.md#nonsense)")
+    with pytest.raises(SystemExit) as error:
         build_site(root, tmp_path / "site")
+    assert "nowhere.md" in str(error.value)
+    assert "nonsense" in str(error.value)
 
 
 def test_a_page_that_is_left_out_is_an_error(tmp_path):
