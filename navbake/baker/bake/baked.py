@@ -112,6 +112,8 @@ class BakedPose:
         room_table: the table of rooms as written to a file, with the doors between them.
         areas: the areas of the settings, painted on the levels.
         links: the named links.
+        name_boxes: name -> the box round all geoms of that name, see `measure_names`; empty if the
+            settings ask for no names in cells.
     """
 
     scene: Scene
@@ -123,6 +125,7 @@ class BakedPose:
     room_table: list[Json]
     areas: PaintedAreas
     links: BakedLinks
+    name_boxes: dict[str, list[float]]
 
     @property
     def door_leaves(self) -> list[ClassifiedLeaf]:

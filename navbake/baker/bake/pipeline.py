@@ -19,7 +19,6 @@ from navbake.baker.bake.stages import open_stages
 from navbake.baker.bake.warnings import collect_warnings
 from navbake.baker.core.clock import Progress, StageClock
 from navbake.baker.core.windows import crop_cells
-from navbake.baker.occupants.cell_names import measure_names
 from navbake.baker.occupants.movable import name_occupants
 from navbake.baker.scene.model import CompileLimits, SceneInput, SceneModel, mujoco_version
 from navbake.baker.scene.scene import GeomReport, Scene
@@ -358,9 +357,7 @@ def _make_metadata(
         navbake_metadata["agents"] = agents
     navbake_metadata["names"] = config.names.enabled
     if baked_structure.occupants is not None and config.names.enabled:
-        navbake_metadata["boxes"] = measure_names(
-            baked_pose.scene.shapes, baked_structure.occupants.names
-        )
+        navbake_metadata["boxes"] = baked_pose.name_boxes
     navbake_metadata["rooms"] = baked_pose.room_table
     navbake_metadata["doors"] = [grid_door.entry for grid_door in baked_pose.grid_doors]
     bake_warnings = collect_warnings(config, baked_structure, baked_pose)

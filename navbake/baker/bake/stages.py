@@ -51,6 +51,7 @@ from navbake.baker.links.links import BakedLinks, bake_links
 from navbake.baker.links.search import CollisionGeometry, CollisionShapes
 from navbake.baker.occupancy.footprint import Footprint
 from navbake.baker.occupancy.occupancy import StructureOccupancy
+from navbake.baker.occupants.cell_names import measure_names
 from navbake.baker.occupants.kinds import mark_wall_candidates
 from navbake.baker.occupants.lost_floors import find_lost_floors
 from navbake.baker.occupants.movable import (
@@ -509,6 +510,10 @@ class Stages:
         baked_structure = self.baked_structure
         occupants = self.occupants
         doors = select_doors(self.doors)
+        name_boxes: dict[str, list[float]] = {}
+        if baked_structure.occupants is not None and self.config.names.enabled:
+            names = baked_structure.occupants.names
+            name_boxes = measure_names(self.scene.shapes, np.arange(len(names)), names)
         return BakedPose(
             scene=self.scene,
             leaves=self.doors,
@@ -528,6 +533,7 @@ class Stages:
             room_table=rooms_to_json(self.rooms, doors),
             areas=self.areas,
             links=self.links,
+            name_boxes=name_boxes,
         )
 
     @property

@@ -445,10 +445,15 @@ def index_by_cell(lattice: Lattice, cells: Int, hits: ColumnHits) -> Columns:
     Returns:
         Columns of the lattice, of which only those of these cells are valid.
     """
-    start = np.zeros(lattice.width * lattice.height + 1, dtype=np.int64)
-    start[cells] = hits.start[:-1]
-    start[cells + 1] = hits.start[1:]
     first_row, last_row = (cells[[0, -1]] // lattice.width).tolist() if len(cells) else (0, 0)
     first_valid_row = first_row // TILE * TILE
     end_valid_row = min(last_row // TILE * TILE + TILE, lattice.height)
-    return Columns(lattice, hits._replace(start=start), RowChunk(first_valid_row, end_valid_row))
+    valid_rows = RowChunk(first_valid_row, end_valid_row)
+    first_valid_cell, end_valid_cell = valid_rows.cell_range(lattice)
+    # the entries of other rows have no meaning, and zeros in all of them would take longer to
+    # write than a few cells take to cast
+    start = np.empty(lattice.width * lattice.height + 1, dtype=np.int64)
+    start[first_valid_cell : end_valid_cell + 1] = 0
+    start[cells] = hits.start[:-1]
+    start[cells + 1] = hits.start[1:]
+    return Columns(lattice, hits._replace(start=start), valid_rows)

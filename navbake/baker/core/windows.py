@@ -54,9 +54,9 @@ def clip_boxes(lattice: Lattice, boxes: Float, margin: float) -> Float:
         The boxes, shape (n, 6) [m]; their heights are unchanged.
     """
     x_min, y_min, x_max, y_max = lattice.bounds
-    lower_limits = np.array([x_min - margin, y_min - margin, -np.inf])
-    upper_limits = np.array([x_max + margin, y_max + margin, np.inf])
-    clipped_boxes: Float = boxes.clip(np.tile(lower_limits, 2), np.tile(upper_limits, 2))
+    lower_limits = [x_min - margin, y_min - margin, -np.inf]
+    upper_limits = [x_max + margin, y_max + margin, np.inf]
+    clipped_boxes: Float = boxes.clip(2 * lower_limits, 2 * upper_limits)
     return clipped_boxes
 
 

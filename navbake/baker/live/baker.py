@@ -191,11 +191,17 @@ class Baker:
 
     def _bake(self, scene_model: SceneModel) -> BakedScene:
         stages = open_stages(self._config, StageClock(), scene_model=scene_model)
+        structure = stages.baked_structure
+        geoms_of_name: dict[str, list[int]] = {}
+        if structure.occupants is not None and self._config.names.enabled:
+            for geom, name in enumerate(structure.occupants.names):
+                geoms_of_name.setdefault(name, []).append(geom)
         return BakedScene(
-            structure=stages.baked_structure,
+            structure=structure,
             pose=stages.baked_pose,
             door_inputs=stages.door_inputs,
             movable_inputs=stages.movable_inputs,
+            geoms_of_name=geoms_of_name,
         )
 
 

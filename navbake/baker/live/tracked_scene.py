@@ -13,7 +13,7 @@ from navbake.baker.core.constants import FREE, HINGE, MESH, SLIDE
 from navbake.baker.geometry.shapes import GeomTriangles, Primitives, Shapes
 from navbake.baker.rooms.flags import find_markers
 from navbake.baker.scene.collect import collect_shapes
-from navbake.baker.scene.hull_room import HullRoomTest
+from navbake.baker.scene.hull_room import are_any_large
 from navbake.baker.scene.leaves import DoorCandidate, find_door_candidates, mark_candidate_geoms
 from navbake.baker.scene.model import SceneModel, check_data
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies, joint_name
@@ -118,7 +118,6 @@ class TrackedScene:
         self._config = config
         self._scene_model = scene_model
         self._model = model
-        self._meshes = scene.meshes
         self._names = digest_names(model)
         self._next_data = data_with_joints(model, scene.data, {})
         # Of equal names the first counts, so that it is entered last.
@@ -378,16 +377,14 @@ class TrackedScene:
             return True
         if self._config.scene.exclude.movable and (is_moved_geom & self._is_jointed_geom).any():
             return True
-        is_moved_mesh = is_moved_geom & (self._model.geom_type == MESH)
-        if not is_moved_mesh.any():
+        moved_meshes = np.flatnonzero(is_moved_geom & (self._model.geom_type == MESH))
+        if not len(moved_meshes):
             return False
         agent = self._config.agent
         floors = self._config.floors
-        old_hull_test = HullRoomTest(self._model, self.scene.data, self._meshes, agent, floors)
-        new_hull_test = HullRoomTest(self._model, data, self._meshes, agent, floors)
         return any(
-            old_hull_test.is_large(geom) or new_hull_test.is_large(geom)
-            for geom in np.flatnonzero(is_moved_mesh).tolist()
+            are_any_large(self._model, pose, moved_meshes, agent, floors)
+            for pose in (self.scene.data, data)
         )
 
     def _place_body(self, data: mujoco.MjData, name: str, pose: ArrayLike) -> None:

@@ -7,7 +7,7 @@ changed, the whole scene has to be baked. The functions of a bake do all of this
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -23,10 +23,11 @@ from navbake.baker.doors.doors import (
     mark_obstacle_geoms,
     move_leaf,
 )
-from navbake.baker.doors.posed_leaves import find_blocked_cells, pose_leaves
+from navbake.baker.doors.posed_leaves import CellsByState, find_blocked_cells, pose_leaves
 from navbake.baker.links.areas import paint_areas
 from navbake.baker.links.links import bake_links
 from navbake.baker.live.tracked_scene import SceneChange
+from navbake.baker.occupants.cell_names import measure_names
 from navbake.baker.occupants.lost_floors import find_lost_floors
 from navbake.baker.occupants.movable import (
     MovableSearchInputs,
@@ -53,12 +54,15 @@ class BakedScene(NamedTuple):
         pose: all that depends on the scene's pose.
         door_inputs: the columns, floors and rooms on which the classification of leaves depends.
         movable_inputs: the floors and the occupancy of structure, for the search for movables.
+        geoms_of_name: name in cells -> ids of the geoms that have it, see
+            `navbake.baker.occupants.cell_names.name_geoms`; empty if the settings ask for no names.
     """
 
     structure: BakedStructure
     pose: BakedPose
     door_inputs: DoorInputs
     movable_inputs: MovableSearchInputs
+    geoms_of_name: dict[str, list[int]]
 
 
 def update_baked_scene(
@@ -108,6 +112,9 @@ def update_baked_scene(
             pose = replace(pose, occupants=occupants, lost_floor_areas=lost_floor_areas)
         if leaves is not old_pose.leaves or pose.occupants is not old_pose.occupants:
             pose = _update_grid_doors(pose, baked_scene, config)
+    if baked_scene.geoms_of_name and change.is_changed_geom.any():
+        name_boxes = _update_name_boxes(pose, baked_scene, change.is_changed_geom)
+        pose = replace(pose, name_boxes=name_boxes)
     if config.areas:
         areas = paint_areas(
             scene, structure.lattice, structure.floors.levels, structure.rooms, config
@@ -204,6 +211,31 @@ def _update_lost_floors(
     return dict(sorted(lost_areas.items()))
 
 
+def _update_name_boxes(
+    pose: BakedPose, baked_scene: BakedScene, is_changed_geom: Bool
+) -> dict[str, list[float]]:
+    """Measure again the boxes round the geoms of each name that a changed geom has.
+
+    Args:
+        pose: the values of the next pose, with the boxes of the last one.
+        baked_scene: the values of the last bake or update.
+        is_changed_geom: the geoms that have changed, (ngeom,).
+
+    Returns:
+        Name -> its box, see `BakedPose.name_boxes`.
+    """
+    scene = pose.scene
+    assert baked_scene.structure.occupants is not None  # it has the names
+    names = baked_scene.structure.occupants.names
+    changed_names = {names[geom] for geom in np.flatnonzero(is_changed_geom).tolist()}
+    geoms = [geom for name in changed_names for geom in baked_scene.geoms_of_name[name]]
+    changed_boxes = measure_names(scene.shapes, np.array(geoms), [names[geom] for geom in geoms])
+    if changed_boxes.keys() == changed_names and changed_names <= pose.name_boxes.keys():
+        return {**pose.name_boxes, **changed_boxes}
+    # a name has got a box, or lost it: the order of all names changes
+    return measure_names(scene.shapes, np.arange(len(names)), names)
+
+
 def _update_grid_doors(pose: BakedPose, baked_scene: BakedScene, config: BakeConfig) -> BakedPose:
     """Bring the doors of the grid up to date.
 
@@ -221,19 +253,20 @@ def _update_grid_doors(pose: BakedPose, baked_scene: BakedScene, config: BakeCon
     if not door_leaves:
         return replace(pose, grid_doors=[])
     old_pose = baked_scene.pose
-    changed_cells = _mark_changed_cells(pose.occupants.blocked, old_pose.occupants.blocked)
-    changed_squares = _mark_changed_cells(
-        pose.occupants.blocked_squares or [], old_pose.occupants.blocked_squares or []
+    is_changed_leaf = _mark_leaves_in_cells(
+        [leaf.blocked for leaf in door_leaves],
+        _mark_changed_cells(pose.occupants.blocked, old_pose.occupants.blocked),
     )
+    if pose.occupants.blocked_squares and old_pose.occupants.blocked_squares:
+        is_changed_leaf |= _mark_leaves_in_cells(
+            [leaf.blocked_squares for leaf in door_leaves],
+            _mark_changed_cells(pose.occupants.blocked_squares, old_pose.occupants.blocked_squares),
+        )
     old_grid_doors = dict(zip(old_pose.door_leaves, old_pose.grid_doors, strict=True))
     grid_doors = []
-    for leaf in door_leaves:
+    for leaf, is_changed in zip(door_leaves, is_changed_leaf.tolist(), strict=True):
         grid_door = old_grid_doors.get(leaf)
-        if (
-            grid_door is None
-            or _blocks_any_cell(leaf.blocked, changed_cells)
-            or _blocks_any_cell(leaf.blocked_squares, changed_squares)
-        ):
+        if grid_door is None or is_changed:
             grid_door = make_grid_door(leaf, baked_scene.structure, pose.occupants, config)
         grid_doors.append(grid_door)
     return replace(pose, grid_doors=grid_doors)
@@ -247,17 +280,27 @@ def _mark_changed_cells(new_layers: Sequence[Bool], old_layers: Sequence[Bool]) 
     ]
 
 
-def _blocks_any_cell(
-    blocked_cells: Mapping[str, Sequence[Int]], level_masks: Sequence[Bool]
-) -> bool:
-    """Return whether a leaf blocks any marked cell, in any of its states.
+def _mark_leaves_in_cells(
+    cells_by_leaf: Sequence[CellsByState], level_masks: Sequence[Bool]
+) -> Bool:
+    """Mark the leaves that block any of the marked cells, in any of their states.
 
     Args:
-        blocked_cells: state -> for each level, the cells that the leaf blocks.
-        level_masks: for each level, a flat mask of cells; or an empty list, which marks none.
+        cells_by_leaf: for each leaf: state -> for each level, the cells that the leaf blocks.
+        level_masks: for each level, a flat mask of cells.
+
+    Returns:
+        A mask of the leaves, shape (n,).
     """
-    for cells_of_levels in blocked_cells.values():
-        for is_marked, cells in zip(level_masks, cells_of_levels, strict=False):
-            if is_marked[cells].any():
-                return True
-    return False
+    is_in_cells = np.zeros(len(cells_by_leaf), dtype=np.bool_)
+    for level, is_marked_cell in enumerate(level_masks):
+        leaf_numbers = list[int]()
+        cell_chunks = list[Int]()
+        for leaf_number, cells_by_state in enumerate(cells_by_leaf):
+            for cells_of_levels in cells_by_state.values():
+                leaf_numbers.append(leaf_number)
+                cell_chunks.append(cells_of_levels[level])
+        if cell_chunks:
+            leaf_of_cell = np.repeat(leaf_numbers, [len(cells) for cells in cell_chunks])
+            is_in_cells[leaf_of_cell[is_marked_cell[np.concatenate(cell_chunks)]]] = True
+    return is_in_cells

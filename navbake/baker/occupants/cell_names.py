@@ -44,28 +44,32 @@ def name_geoms(scene: Scene) -> list[str]:
     ]
 
 
-def measure_names(shapes: Shapes, names: Sequence[str]) -> dict[str, list[float]]:
+def measure_names(shapes: Shapes, geoms: Int, names: Sequence[str]) -> dict[str, list[float]]:
     """Measure the upright box round all geoms of each name.
 
     Args:
         shapes: the geometry of the posed scene.
-        names: the name of each geom, by geom id.
+        geoms: ids of the geoms that are measured: all that have any of the names, (n,).
+        names: the name of each of these geoms, n names.
 
     Returns:
         Name -> x, y, z of the box's lower corner, and of its upper corner [m], in steps of 0.1 mm;
         sorted by name. Names of geoms without an end are left out.
     """
-    boxes = shapes.boxes
-    geom_of_box = shapes.geom_of_box
-    has_end = np.isfinite(boxes).all(axis=1) & ~shapes.is_endless[geom_of_box]
     unique_names = sorted(set(names))
     number_of_name = {name: number for number, name in enumerate(unique_names)}
-    number_of_geom = np.array([number_of_name[name] for name in names], dtype=np.int64)
-    numbers = number_of_geom[geom_of_box[has_end]]
+    number_of_geom = np.full(len(shapes.is_endless), -1)
+    number_of_geom[geoms] = [number_of_name[name] for name in names]
+    number_of_box = number_of_geom[shapes.geom_of_box]
+    measured_boxes = np.flatnonzero((number_of_box >= 0) & ~shapes.is_endless[shapes.geom_of_box])
+    boxes = shapes.boxes[measured_boxes]
+    has_end = np.isfinite(boxes).all(axis=1)
+    boxes = boxes[has_end]
+    numbers = number_of_box[measured_boxes[has_end]]
     corners = np.full((len(unique_names), 6), np.inf)
     corners[:, 3:] = -np.inf
-    np.minimum.at(corners[:, :3], numbers, boxes[has_end, :3])
-    np.maximum.at(corners[:, 3:], numbers, boxes[has_end, 3:])
+    np.minimum.at(corners[:, :3], numbers, boxes[:, :3])
+    np.maximum.at(corners[:, 3:], numbers, boxes[:, 3:])
     # outwards, but for what rounding may have moved a round number
     corners[:, :3] = np.floor(corners[:, :3] * BOX_STEPS + BOX_SLACK)
     corners[:, 3:] = np.ceil(corners[:, 3:] * BOX_STEPS - BOX_SLACK)

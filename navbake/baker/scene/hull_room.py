@@ -79,7 +79,8 @@ class HullRoomTest:
 
     def __post_init__(self) -> None:
         """Measure the geoms' boxes."""
-        self._box_sizes = _measure_boxes(self.model, self.data)
+        all_geoms = np.arange(len(self.model.geom_aabb))
+        self._box_sizes = _measure_boxes(self.model, self.data, all_geoms)
 
     def find_hidden(self, geom: int) -> str:
         """Return a text that says whether the hull of a mesh geom hides room or ground.
@@ -123,12 +124,7 @@ class HullRoomTest:
 
         It has to be as high as the agent, and as large as a floor, see `find_hidden`.
         """
-        width, depth, height = self._box_sizes[geom]
-        floor_width = width - 2 * self.floors.shrink
-        floor_depth = depth - 2 * self.floors.shrink
-        if min(floor_width, floor_depth) < 0 or height < self.agent.height - LIMIT_SLACK:
-            return False
-        return floor_width * floor_depth >= self.floors.min_area - LIMIT_SLACK
+        return _has_room(self._box_sizes[geom], self.agent, self.floors)
 
     def _search_hull(self, geom: int) -> str:
         """Find what the hull of a mesh geom hides, see `find_hidden`, by casting vertical lines."""
@@ -170,11 +166,46 @@ class HullRoomTest:
         return shapes
 
 
-def _measure_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> list[list[float]]:
-    """Measure the bounding box of each geom along x, y and z [m]; 0 if its pose isn't finite."""
-    rotations = data.geom_xmat.reshape(-1, 3, 3)
+def are_any_large(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    geoms: Int,
+    agent: AgentSettings,
+    floors: FloorSettings,
+) -> bool:
+    """Return whether any of some mesh geoms is large enough for room, see `HullRoomTest.is_large`.
+
+    Args:
+        model: the model.
+        data: the model's pose.
+        geoms: ids of the geoms, (n,).
+        agent: the agent that needs the room.
+        floors: the settings that say how large a floor has to be.
+    """
+    return any(_has_room(size, agent, floors) for size in _measure_boxes(model, data, geoms))
+
+
+def _has_room(box_size: list[float], agent: AgentSettings, floors: FloorSettings) -> bool:
+    """Return whether a box is as high as an agent, and as large as a floor has to be.
+
+    Args:
+        box_size: the box's size along x, y and z [m].
+        agent: the agent.
+        floors: the settings that say how large a floor has to be.
+    """
+    width, depth, height = box_size
+    floor_width = width - 2 * floors.shrink
+    floor_depth = depth - 2 * floors.shrink
+    if min(floor_width, floor_depth) < 0 or height < agent.height - LIMIT_SLACK:
+        return False
+    return floor_width * floor_depth >= floors.min_area - LIMIT_SLACK
+
+
+def _measure_boxes(model: mujoco.MjModel, data: mujoco.MjData, geoms: Int) -> list[list[float]]:
+    """Measure the boxes round some geoms along x, y and z [m]; 0 if a pose isn't finite."""
+    rotations = data.geom_xmat[geoms].reshape(-1, 3, 3)
     is_finite = np.isfinite(rotations).all(axis=(1, 2), keepdims=True)
-    half_sizes = model.geom_aabb[:, 3:, np.newaxis]
+    half_sizes = model.geom_aabb[geoms, 3:, np.newaxis]
     box_sizes = 2.0 * np.abs(np.where(is_finite, rotations, 0.0)) @ half_sizes
     # Floats of Python, as NumPy's would warn of an area beyond all floats.
     box_size_lists: list[list[float]] = box_sizes[:, :, 0].tolist()
