@@ -91,6 +91,27 @@ def test_changes_list_the_cells_that_differ():
     assert nothing.cells[0].size == 0
 
 
+def test_boxes_of_names_are_measured_where_things_moved(monkeypatch):
+    baker = open_room()
+    measured = []
+    measure_again = module.measure_names
+
+    def spy(shapes, geoms, names):
+        measured.append(set(names))
+        return measure_again(shapes, geoms, names)
+
+    monkeypatch.setattr(module, "measure_names", spy)
+    changes = baker.update(bodies={"chair": [1.5, 1.2, 0.45]})
+    assert measured == [{"chair"}]
+    boxes = changes.grid.navbake["boxes"]
+    assert (
+        boxes["chair"][:2]
+        != baker.update(bodies={"chair": [1.6, 1.2, 0.45]}).grid.navbake["boxes"]["chair"][:2]
+    )
+    assert list(boxes.items()) == sorted(boxes.items())
+    assert baker.grid.navbake["boxes"] == fresh(baker).navbake["boxes"]
+
+
 def test_a_snapshot_stays_as_it_was():
     baker = open_room()
     first = baker.grid
@@ -138,6 +159,7 @@ def test_a_geom_vanishes_and_appears(name):
         # `box` stands, `seat` can move
         assert changes.reason == ("'box', which stands, has changed" if name == "box" else "")
         assert first_difference(changes.grid, fresh(baker)) is None
+        assert list(changes.grid.navbake["boxes"]) == sorted(changes.grid.navbake["boxes"])
         assert (int(changes.grid.occupancy.sum()) == occupied) == bool(shown)
 
 
