@@ -288,8 +288,11 @@ def step_limit(grid: GridBase) -> float:
     It is the grid's `traversableFloorHeight`, plus 1e-6 m and the float32 rounding of its highest
     floor, so that a step of exactly the allowed height is allowed.
     """
-    floors = [np.abs(level.floor_height) for level in grid.levels]
-    highest_floor = max(float(np.nanmax(floor, initial=0.0)) for floor in floors)
+    highest_floor = 0.0
+    for level in grid.levels:
+        floor = level.floor_height
+        for extreme in (np.nanmin(floor, initial=0.0), np.nanmax(floor, initial=0.0)):
+            highest_floor = max(highest_floor, abs(float(extreme)))
     rounding = float(np.spacing(np.float32(highest_floor)))
     return grid.max_step / grid.unit + STEP_SLACK / grid.unit + rounding
 

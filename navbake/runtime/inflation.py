@@ -33,7 +33,7 @@ from navbake.navgrid.islands import add_layers
 from navbake.navgrid.lattice import Lattice, find_outline_fault, touch_cells
 from navbake.runtime import surroundings
 from navbake.runtime.flat_grid import RealNumber
-from navbake.runtime.surroundings import find_blocked, measure_to_occupied
+from navbake.runtime.surroundings import find_blocked, look_up_by_distance
 from navbake.types import Bool, Float, Int, Int32, Json
 
 if TYPE_CHECKING:
@@ -242,7 +242,7 @@ def nav2_costs(
     """Compute the costs of nav2's inflation layer for a level's cells.
 
     A cell counts as occupied by the rules of `grid.inflate`, see
-    `navbake.runtime.surroundings.measure_to_occupied`. So each cell that is free in
+    `navbake.runtime.surroundings.look_up_by_distance`. So each cell that is free in
     ``grid.inflate(radius)`` costs 252 at most.
 
     Args:
@@ -260,9 +260,11 @@ def nav2_costs(
     # at this distance, costs have fallen to 1
     max_distance = min(inflation_radius, radius + math.log(MAX_FREE_COST) / scaling)
     # squared distances in cells are whole numbers: tabulate their costs
-    squared_distances = measure_to_occupied(grid, level, max_distance)
-    max_squared_distance = math.ceil((inflation_radius / cell_size) ** 2 * 1.001) + 1
-    largest_squared_distance = max(min(int(squared_distances.max()), max_squared_distance), 0)
+    max_squared_distance = math.ceil((max_distance / cell_size) ** 2 * 1.001) + 1
+    # no two cells of the grid are farther from each other than its corners
+    bounds = np.array([stacked_level.lattice.bounds for stacked_level in grid.levels])
+    extent = np.ceil((bounds[:, 2:].max(axis=0) - bounds[:, :2].min(axis=0)) / cell_size) + 1
+    largest_squared_distance = min(max_squared_distance, int((extent**2).sum()))
     distance_table = np.sqrt(np.arange(largest_squared_distance + 1)) * cell_size
     distance_slack = DISTANCE_SLACK * cell_size
     decay = np.exp(-scaling * np.maximum(distance_table - radius, 0))
@@ -270,9 +272,7 @@ def nav2_costs(
     cost_table = np.where(distance_table <= radius + distance_slack, INSCRIBED_COST, cost_table)
     cost_table[distance_table > inflation_radius + distance_slack] = 0
     cost_table[0] = OCCUPIED_COST
-    costs: NDArray[np.uint8] = cost_table.astype(np.uint8).take(squared_distances, mode="clip")
-    costs[squared_distances < 0] = 0
-    return costs
+    return look_up_by_distance(grid, level, cost_table.astype(np.uint8))
 
 
 # ---------------------------------------------------------------- arguments

@@ -2,9 +2,9 @@
 
 All distances on the map are in cells.
 
-`dilate` has two passes, like the exact distance transform of Meijster, Roerdink and Hesselink
-(2000): first along the columns, then along the rows. Along rows it unites intervals, where theirs
-compares parabolas.
+Distances and what lies within them are found in two passes, as in the exact distance transform of
+Meijster, Roerdink and Hesselink (2000): first along the columns, then along the rows. Along rows,
+`dilate_along_rows` unites intervals, and `look_up_along_rows` compares parabolas.
 
 To find where floors are too high or too low for an agent, patches of 4 x 4 cells are compared
 first, by their lowest and highest floors (one step of a min-max pyramid). Single cells are compared
@@ -25,7 +25,6 @@ from navbake.runtime.envelope_kernels import add_parabola
 from navbake.runtime.grid_arrays import EAST, NORTH, SOUTH, WEST
 
 PATCH_SIZE = 4  # edge of the squares of cells by which floors are compared first
-NO_DISTANCE = 1 << 30  # in cells, where no cell is occupied
 SLAB_THICKNESS = 0.3  # [m] how thick the floor of a level above may be
 
 
@@ -53,25 +52,53 @@ class LevelStack(NamedTuple):
     height: float
 
 
-@kernel
-def dilate(is_occupied, half_width):
-    """Mark the cells that a shape covers when it is centred on any of the occupied cells.
+@kernel(nogil=True)
+def measure_along_columns(is_occupied, max_distance, row_distances, begin, end):
+    """Measure how many rows the cells of some columns are away from the nearest occupied cell.
+
+    The nearest one of their own column counts. This is the first pass of Felzenszwalb and
+    Huttenlocher's exact Euclidean distance transform ("Distance Transforms of Sampled Functions",
+    2012); `look_up_along_rows` is the second one.
+
+    Args:
+        is_occupied: uint8, shape (rows, cols).
+        max_distance: the distance of cells that are farther away, or whose column has no occupied
+            cell.
+        row_distances: receives the distances, int32, shape (rows, cols).
+        begin: first column.
+        end: the column after the last.
+    """
+    num_rows = is_occupied.shape[0]
+    for col in range(begin, end):
+        row_distances[0, col] = 0 if is_occupied[0, col] else max_distance
+    for row in range(1, num_rows):
+        for col in range(begin, end):
+            row_distances[row, col] = (
+                0 if is_occupied[row, col] else min(row_distances[row - 1, col] + 1, max_distance)
+            )
+    for row in range(num_rows - 2, -1, -1):
+        for col in range(begin, end):
+            row_distances[row, col] = min(row_distances[row, col], row_distances[row + 1, col] + 1)
+
+
+@kernel(nogil=True)
+def dilate_along_rows(row_distances, half_width, is_covered, begin, end):
+    """Mark the cells of some rows that a shape covers when it is centred on any occupied cell.
 
     The shape must be like a disc: symmetric, and no wider away from its middle row.
 
     Args:
-        is_occupied: uint8, shape (rows, cols).
+        row_distances: the distances along columns from `measure_along_columns`, at most the index
+            of the last entry of `half_width`.
         half_width: the shape, int32. Entry i is how many columns it covers to each side, i rows
             above and below its middle; -1 for none. The last entry must be -1.
-
-    Returns:
-        The marked cells, bool, shape (rows, cols).
+        is_covered: receives the marks, bool, shape (rows, cols).
+        begin: first row.
+        end: the row after the last.
     """
-    num_rows, num_cols = is_occupied.shape
-    row_distances = measure_along_columns(is_occupied, half_width.shape[0] - 1)
-    is_covered = np.empty((num_rows, num_cols), dtype=np.bool_)
+    num_cols = row_distances.shape[1]
     interval_half_widths = np.empty(num_cols, dtype=np.int32)
-    for row in range(num_rows):
+    for row in range(begin, end):
         for col in range(num_cols):
             interval_half_widths[col] = half_width[row_distances[row, col]]
         # The union of all intervals [col - covered, col + covered], swept once from each side: the
@@ -86,76 +113,56 @@ def dilate(is_occupied, half_width):
             if interval_half_widths[col] >= 0 and col - interval_half_widths[col] < interval_end:
                 interval_end = col - interval_half_widths[col]
             is_covered[row, col] |= col >= interval_end
-    return is_covered
-
-
-@kernel
-def measure_along_columns(is_occupied, max_distance):
-    """Measure how many rows each cell is away from the nearest occupied cell of its column.
-
-    This is the first pass of Felzenszwalb and Huttenlocher's exact Euclidean distance transform
-    ("Distance Transforms of Sampled Functions", 2012); `measure_along_rows` is the second one.
-
-    Args:
-        is_occupied: uint8, shape (rows, cols).
-        max_distance: the distance of cells that are farther away, or whose column has no occupied
-            cell, such as `NO_DISTANCE`.
-
-    Returns:
-        int32, shape (rows, cols).
-    """
-    num_rows, num_cols = is_occupied.shape
-    row_distances = np.empty((num_rows, num_cols), dtype=np.int32)
-    for row in range(num_rows):
-        for col in range(num_cols):
-            distance_above = row_distances[row - 1, col] if row > 0 else max_distance
-            row_distances[row, col] = (
-                0 if is_occupied[row, col] else min(distance_above + 1, max_distance)
-            )
-    for row in range(num_rows - 2, -1, -1):
-        for col in range(num_cols):
-            row_distances[row, col] = min(row_distances[row, col], row_distances[row + 1, col] + 1)
-    return row_distances
 
 
 @kernel(nogil=True)
-def measure_along_rows(row_distances, squared_distances, begin, end):
-    """Measure the squared distance from each cell of some rows to the nearest occupied cell.
+def look_up_along_rows(row_distances, cost_of_square, costs, begin, end):
+    """Look up the costs of the cells of some rows by their distance to the nearest occupied cell.
 
     Along a row, an occupied cell of each column is a parabola over the row's cells. The lower
     envelope of all parabolas is the squared distance, see `measure_along_columns`.
 
     Args:
-        row_distances: the distances along columns, at most `NO_DISTANCE`, from
-            `measure_along_columns`.
-        squared_distances: receives the squared distances, in cells, int32, shape (rows, cols); -1
-            where no cell is occupied.
+        row_distances: the distances along columns, from `measure_along_columns`.
+        cost_of_square: the cost by squared distance in cells, uint8, shape (n,); larger distances
+            cost 0. So do cells without any occupied cell within that distance.
+        costs: receives the costs, uint8, shape (rows, cols).
         begin: first row.
         end: the row after the last.
     """
     num_cols = row_distances.shape[1]
+    num_squares = cost_of_square.shape[0]
     centers = np.empty(num_cols)  # columns of the parabolas of the envelope
     heights = np.empty(num_cols)  # what they measure at their centres
     bounds = np.empty(num_cols + 1)  # from where to where each parabola is the lowest
     for row in range(begin, end):
         num_parabolas = 0
         for col in range(num_cols):
-            row_distance = row_distances[row, col]
-            if row_distance == NO_DISTANCE:
-                continue
-            height = float(row_distance) * float(row_distance)
-            num_parabolas = add_parabola(
-                centers, heights, bounds, num_parabolas, float(col), height
+            height = np.int64(row_distances[row, col]) * row_distances[row, col]
+            is_inside = (
+                height == 0
+                and 0 < col < num_cols - 1
+                and row_distances[row, col - 1] == 0
+                and row_distances[row, col + 1] == 0
             )
+            # inside of occupied cells, the parabolas of those at the rim are as low elsewhere
+            if height < num_squares and not is_inside:
+                num_parabolas = add_parabola(
+                    centers, heights, bounds, num_parabolas, float(col), float(height)
+                )
         parabola = 0
         for col in range(num_cols):
+            if row_distances[row, col] == 0:
+                costs[row, col] = cost_of_square[0]
+                continue
             if num_parabolas == 0:
-                squared_distances[row, col] = -1
+                costs[row, col] = 0
                 continue
             while bounds[parabola + 1] < col:
                 parabola += 1
             offset = col - centers[parabola]
-            squared_distances[row, col] = np.int32(heights[parabola] + offset * offset)
+            square = np.int64(heights[parabola] + offset * offset)
+            costs[row, col] = cost_of_square[square] if square < num_squares else 0
 
 
 @kernel
@@ -360,13 +367,13 @@ def _is_occupied_at_height(floor, occupied, level, floor_z, row, col, height_tol
 
 
 @kernel
-def measure_near_levels(
-    stack, patch_min_z, patch_max_z, cell_offsets, squared_lengths, squared_distances
+def look_up_near_levels(
+    stack, patch_min_z, patch_max_z, cell_offsets, squared_lengths, cost_of_square, costs
 ):
-    """Measure the distances to occupied cells again, in cells near another level's floor.
+    """Look up the costs by distance to occupied cells again, in cells near another level's floor.
 
     The levels' occupied cells are combined as in `block_by_floors`. Cells that are occupied
-    themselves, or not near another level's floor of about the same height, keep their distances.
+    themselves, or not near another level's floor of about the same height, keep their costs.
 
     Args:
         stack: `LevelStack`.
@@ -375,9 +382,9 @@ def measure_near_levels(
         cell_offsets: rows and columns from a cell to the cells to search, nearest first, int64,
             shape (n, 2).
         squared_lengths: the squared length of each offset, in cells squared, int64, shape (n,).
-        squared_distances: written: the squared distance from each cell to the nearest occupied
-            cell, in cells squared; -1 where no offset leads to an occupied cell; int32, shape
-            (rows, cols).
+        cost_of_square: the cost by squared distance in cells, as in `look_up_along_rows`.
+        costs: written: the cost of each cell; 0 where no offset leads to an occupied cell; uint8,
+            shape (rows, cols).
     """
     floor = stack.floor
     occupied = stack.occupied
@@ -398,7 +405,7 @@ def measure_near_levels(
                 is_near_level |= k != level and begins_below and ends_above
             if not is_near_level or occupied[level, row, col]:
                 continue
-            squared_distances[row, col] = -1
+            costs[row, col] = 0
             for i in range(cell_offsets.shape[0]):
                 to_row = row + cell_offsets[i, 0]
                 to_col = col + cell_offsets[i, 1]
@@ -407,7 +414,8 @@ def measure_near_levels(
                 if _is_occupied_at_height(
                     floor, occupied, level, z, to_row, to_col, height_tolerance
                 ):
-                    squared_distances[row, col] = squared_lengths[i]
+                    if squared_lengths[i] < cost_of_square.shape[0]:
+                        costs[row, col] = cost_of_square[squared_lengths[i]]
                     break
 
 

@@ -62,7 +62,7 @@ class DiscOffsets(NamedTuple):
         squared_distances: the squared distances to these cells, shape (n,), in half cells, so that
             they are whole numbers.
         half_widths: for each row from the disc's middle up, how many columns the disc covers to
-            each side, then -1; see `navbake.runtime.inflation_kernels.dilate`.
+            each side, then -1; see `navbake.runtime.inflation_kernels.dilate_along_rows`.
     """
 
     offsets: Int
@@ -113,11 +113,11 @@ def find_blocked(
     occupied = stack.occupied[stack.level]
     disc_offsets = find_disc_offsets(radius_in_cells, occupied.shape)
     if counts_own_occupied:
-        is_blocked: Bool = kernels.dilate(occupied, disc_offsets.half_widths)
+        is_blocked: Bool = _dilate(occupied, disc_offsets.half_widths)
     else:
         occupied_beyond_level = occupied.copy()
         occupied_beyond_level[level_window] = 0
-        is_blocked = kernels.dilate(occupied_beyond_level, disc_offsets.half_widths)
+        is_blocked = _dilate(occupied_beyond_level, disc_offsets.half_widths)
         stack = stack._replace(occupied=np.ones_like(stack.occupied))
         stack.occupied[stack.level] = occupied_beyond_level
     if radius_in_cells > 0:
@@ -127,7 +127,7 @@ def find_blocked(
         is_hole = ~has_floor & (occupied == 0)
         if is_hole.any():
             disc_offsets = find_disc_offsets(radius_in_cells, is_hole.shape, to_squares=False)
-            is_near_hole = kernels.dilate(is_hole.view(np.uint8), disc_offsets.half_widths)
+            is_near_hole = _dilate(is_hole.view(np.uint8), disc_offsets.half_widths)
             is_near_hole = is_near_hole & has_floor & ~is_blocked
             kernels.block_near_holes(
                 has_floor,
@@ -203,8 +203,10 @@ def block_by_floors(
     )
 
 
-def measure_to_occupied(grid: NavGrid, level_number: int, max_distance: float) -> Int32:
-    """Measure the squared distance, in cells, from each cell to the nearest occupied one.
+def look_up_by_distance(
+    grid: NavGrid, level_number: int, cost_of_square: NDArray[np.uint8]
+) -> NDArray[np.uint8]:
+    """Look up a cost for each cell by its distance to the nearest occupied cell.
 
     Distances are measured between the centres of cells. As in `find_blocked`, the cells that
     `SceneGrid2D.solid` marks count as occupied; it also marks cells without a floor.
@@ -215,39 +217,78 @@ def measure_to_occupied(grid: NavGrid, level_number: int, max_distance: float) -
     Args:
         grid: the grid; its weights don't count.
         level_number: number of the level.
-        max_distance: the largest distance that is measured [m].
+        cost_of_square: the cost by squared distance in cells, shape (n,); larger distances cost 0.
 
     Returns:
-        Squared distances in cells, int32, shape (height, width) of the level; -1 where no cell is
-        occupied, or, near other levels, none within the largest distance.
+        Costs, uint8, shape (height, width) of the level.
     """
-    max_distance_in_cells = max_distance / grid.levels[level_number].lattice.cell_size
-    stack, level_window = stack_levels(grid, level_number, math.ceil(max_distance_in_cells) + 1)
+    max_distance = math.ceil(math.sqrt(len(cost_of_square)))
+    stack, level_window = stack_levels(grid, level_number, max_distance + 1)
     compiled.ensure_compiled("runtime.inflation_kernels.")
     occupied = stack.occupied[stack.level]
-    row_distances = kernels.measure_along_columns(occupied, kernels.NO_DISTANCE)
-    squared_distances = np.empty(occupied.shape, dtype=np.int32)
+    costs = np.empty(occupied.shape, dtype=np.uint8)
     threads.run_in_chunks(
-        kernels.measure_along_rows,
+        kernels.look_up_along_rows,
         len(occupied),
-        row_distances,
-        squared_distances,
+        _measure_along_columns(occupied, max_distance),
+        cost_of_square,
+        costs,
         min_chunk_size=max(1, threads.LEAST_CELLS // occupied.shape[1]),
     )
     if len(stack.floor) > 1:
-        disc_offsets = find_disc_offsets(
-            max_distance_in_cells + 1.0, occupied.shape, to_squares=False
-        )
+        disc_offsets = find_disc_offsets(max_distance + 1.0, occupied.shape, to_squares=False)
         patch_min_z, patch_max_z = _find_floor_extremes(stack, disc_offsets.offsets)
-        kernels.measure_near_levels(
+        kernels.look_up_near_levels(
             stack,
             patch_min_z,
             patch_max_z,
             disc_offsets.offsets,
             disc_offsets.squared_distances // 4,  # of half cells
-            squared_distances,
+            cost_of_square,
+            costs,
         )
-    return squared_distances[level_window]
+    return costs[level_window]
+
+
+def _dilate(is_occupied: NDArray[np.uint8], half_widths: Int32) -> Bool:
+    """Mark the cells that a shape covers when it is centred on any occupied cell.
+
+    Args:
+        is_occupied: shape (rows, cols).
+        half_widths: the shape, see `DiscOffsets`.
+    """
+    is_covered = np.empty(is_occupied.shape, dtype=np.bool_)
+    threads.run_in_chunks(
+        kernels.dilate_along_rows,
+        len(is_occupied),
+        _measure_along_columns(is_occupied, len(half_widths) - 1),
+        half_widths,
+        is_covered,
+        min_chunk_size=max(1, threads.LEAST_CELLS // is_occupied.shape[1]),
+    )
+    return is_covered
+
+
+def _measure_along_columns(is_occupied: NDArray[np.uint8], max_distance: int) -> Int32:
+    """Measure how many rows each cell is away from the nearest occupied cell of its column.
+
+    Args:
+        is_occupied: shape (rows, cols).
+        max_distance: the distance of cells that are farther away.
+
+    Returns:
+        Distances in cells, shape (rows, cols).
+    """
+    row_distances = np.empty(is_occupied.shape, dtype=np.int32)
+    threads.run_in_chunks(
+        kernels.measure_along_columns,
+        is_occupied.shape[1],
+        is_occupied,
+        max_distance,
+        row_distances,
+        min_chunk_size=max(64, threads.LEAST_CELLS // len(is_occupied)),
+    )
+    return row_distances
 
 
 def _find_floor_extremes(
@@ -356,7 +397,8 @@ def stack_levels(
             have cells there.
 
     Returns:
-        The stack; and the rows and columns of the level's own cells in it.
+        The stack, whose arrays may be those of the level; and the rows and columns of the level's
+        own cells in it.
     """
     level = grid.levels[level_number]
     max_step = step_limit(grid) * grid.unit
@@ -372,13 +414,17 @@ def stack_levels(
     stop_row = min(level.height + margin, int(stop_corner[0]))
     stop_col = min(level.width + margin, int(stop_corner[1]))
     shape = (len(corner_by_level), stop_row - first_row, stop_col - first_col)
-    floor = np.full(shape, np.nan, dtype=np.float32)
-    occupied = np.ones(shape, dtype=np.uint8)
-    for layer, (k, (row, col)) in enumerate(corner_by_level.items()):
-        stacked_level = grid.levels[k]
-        stacked_floor = _floor_in_metres(stacked_level)
-        _paste(floor[layer], stacked_floor, row - first_row, col - first_col)
-        _paste(occupied[layer], stacked_level.solid, row - first_row, col - first_col)
+    if len(corner_by_level) == 1:  # a level fills its own rectangle; kernels take writeable arrays
+        floor = np.require(_floor_in_metres(level), requirements=["C", "W"]).reshape(shape)
+        occupied = np.require(level.solid, requirements=["C", "W"]).reshape(shape)
+    else:
+        floor = np.full(shape, np.nan, dtype=np.float32)
+        occupied = np.ones(shape, dtype=np.uint8)
+        for layer, (k, (row, col)) in enumerate(corner_by_level.items()):
+            stacked_level = grid.levels[k]
+            stacked_floor = _floor_in_metres(stacked_level)
+            _paste(floor[layer], stacked_floor, row - first_row, col - first_col)
+            _paste(occupied[layer], stacked_level.solid, row - first_row, col - first_col)
     place_by_level = {
         k: StackPlace(layer, row - first_row, col - first_col)
         for layer, (k, (row, col)) in enumerate(corner_by_level.items())

@@ -18,10 +18,9 @@ from navbake.errors import QueryError
 from navbake.formats.navgrid import dumps_navgrid
 from navbake.navgrid.islands import find_islands
 from navbake.navgrid.user_data import UserData
-from navbake.runtime import inflation_kernels
 from navbake.runtime.inflation import nav2_costs
 from navbake.runtime.search import Search
-from navbake.runtime.surroundings import stack_levels
+from navbake.runtime.surroundings import look_up_by_distance, stack_levels
 from oracles import inflation
 from project_paths import SHARED_DATA
 
@@ -465,15 +464,15 @@ def test_costs_that_hardly_fall_reach_everywhere():
     assert (weights[np.isfinite(weights)] == 252).all()
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_distances_to_occupied_cells_are_those_of_scipy(seed):
+@pytest.mark.parametrize("seed", range(40))
+def test_costs_are_those_of_distances_by_scipy(seed):
     rng = np.random.default_rng(seed)
-    share = rng.choice([0.0, 0.01, 0.2, 1.0])
-    occupied = (rng.random(rng.integers(1, 90, 2)) < share).astype(np.uint8)
-    row_distances = inflation_kernels.measure_along_columns(occupied, inflation_kernels.NO_DISTANCE)
-    squared = np.zeros(occupied.shape, np.int32)
-    inflation_kernels.measure_along_rows(row_distances, squared, 0, len(occupied))
-    expected = np.full(occupied.shape, -1)
+    share = rng.choice([0.0, 0.01, 0.2, 0.9, 1.0])
+    occupied = rng.random(rng.integers(1, 90, 2)) < share
+    cost_of_square = rng.integers(0, 255, rng.choice([1, 2, 30, 300, 20_000])).astype(np.uint8)
+    costs = look_up_by_distance(make_level(occupied), 0, cost_of_square)
+    expected = np.zeros(occupied.shape)
     if occupied.any():
-        expected = np.rint(ndimage.distance_transform_edt(occupied == 0) ** 2)
-    np.testing.assert_array_equal(squared, expected)
+        squares = np.rint(ndimage.distance_transform_edt(~occupied) ** 2).astype(np.int64)
+        expected = np.append(cost_of_square, 0)[np.minimum(squares, len(cost_of_square))]
+    np.testing.assert_array_equal(costs, expected)
