@@ -232,6 +232,8 @@ def drive_line(
 
 def count_contacts(model: Any, data: Any, result: Drive, level: float) -> None:
     """Count what the agent touches now; what is as level as `level` and below it is floor."""
+    if not data.ncon:  # the list of contacts takes longer to make than a step
+        return
     agent = model.body("agent").id
     bottom = data.geom_xpos[-1, 2] - model.geom_size[-1, 1]
     for contact in data.contact[: data.ncon]:
