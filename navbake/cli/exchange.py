@@ -378,9 +378,6 @@ def inflate(
     options.check_output(output, *GRID_SUFFIXES, inputs=[grid])
     grid_before = navbake.load(grid)
     previous_radius = grid_before.inflated_radius if mode == "exact" else 0.0
-    if previous_radius > radius:
-        remedy = "inflate the grid as it was baked"
-        print_warnings([f"{grid} stays inflated for {previous_radius:g} m: {remedy}"])
     grid_after = grid_before.inflate(
         radius, clearance, mode, costs=costs, scaling=scaling, ledges=ledges
     )

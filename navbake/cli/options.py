@@ -331,7 +331,8 @@ def write_picture(
     from navbake.views.plot import Overlays, find_picture_format, render_picture  # loads numpy
 
     overlays = Overlays(route, marks, poses, region)
-    picture = render_picture(grid, find_picture_format(output), overlays=overlays, **content)
+    picture_format = "png" if output == STDOUT else find_picture_format(output)
+    picture = render_picture(grid, picture_format, overlays=overlays, **content)
     write_output(picture, output)
     if output != STDOUT:
         printing.say_unless_quiet(output)

@@ -55,6 +55,7 @@ Files: TypeAlias = dict[Path, bytes]
 
 LOG = logging.getLogger("navbake")
 FIRST_BYTES = 1 << 20  # bytes that are read first, to check how a file begins
+INCOMPLETE_HINT = "the file is incomplete: copy it again, or make it anew"
 BOM = b"\xef\xbb\xbf"  # byte order mark of UTF-8
 GZIP_MAGIC = b"\x1f\x8b"
 # first two bytes of a packed file -> name of the packing, and function that opens the file
@@ -201,7 +202,10 @@ def unpack(content: bytes, name: str) -> bytes:
                 chunks.append(chunk)
     except (EOFError, OSError, zlib.error) as error:
         message = f"broken {packing} data in {name}: {_format_system_error(error)}"
-        raise FormatError(message, path=name) from error
+        hint = INCOMPLETE_HINT if isinstance(error, EOFError) else None
+        raise FormatError(
+            f"{message}; {hint}" if hint else message, path=name, hint=hint
+        ) from error
     return b"".join(chunks)
 
 
@@ -263,6 +267,8 @@ def parse_json(content: bytes | memoryview, place: JsonPath) -> JsonValue:
         text_at_fault = error.doc[error.pos : error.pos + 9].lstrip("-")
         is_constant = text_at_fault[:3] in ("NaN", "Inf")
         hint = "NaN and Infinity are no JSON, write null" if is_constant else None
+        if error.pos >= len(error.doc):
+            hint = INCOMPLETE_HINT
         file = f"`{place.path}` of {place.file}" if place.path else place.file
         place_text = f"line {error.lineno}, column {error.colno}"
         message = f"broken JSON in {file}, {place_text}: {error.msg}"

@@ -299,6 +299,9 @@ class GridMethods:
         no occupied cell's square, and no floor that is more than a step higher or lower. In mode
         ``minos``, the weights are those that MINOS's client computes (``refine``), cell for cell.
 
+        A grid that is inflated already can be inflated for a larger radius. For a smaller one it
+        stays as it is, and a warning says so in the log ``navbake.runtime``.
+
         A blocked cell stays blocked, unless only the disc of the baked radius blocked it (see
         `SceneGrid2D.solid`). With radius 0 and a clearance, ``minos`` frees other blocked cells,
         too. Occupancy stays as it was baked. The metadata list each inflation under ``inflation``.
@@ -379,7 +382,9 @@ class GridMethods:
         keep its current obstacles.
 
         A disc or a box blocks the cells where an agent on the floor would collide with it: where it
-        overlaps the cell's square or the disc of `margin` around the cell's centre.
+        overlaps the cell's square or the disc of `margin` around the cell's centre. Beside the
+        grid, or where it is too high or too low for any agent, it blocks none, as something that
+        moves out of the grid and back may do.
 
         Give exactly one of `cells`, `disc` and `box`.
 
@@ -894,8 +899,7 @@ class GridMethods:
         show the same part of the world, +y up. The same grid gives the same bytes.
 
         Args:
-            path: Name of the file: an SVG if it ends in ``.svg``, a PDF if it ends in ``.pdf``,
-                else a PNG. None for no file.
+            path: Name of the file, which ends in ``.png``, ``.svg`` or ``.pdf``; None for no file.
             level: Draw this level only, 0 is the lowest.
             layers: What to draw: ``occupancy``, ``floor``, ``rooms``, ``doors``, ``clearance``,
                 ``island``, ``weights``, ``links`` or ``area``.
@@ -914,8 +918,8 @@ class GridMethods:
             The image, or the path of the file if `path` is given.
 
         Raises:
-            QueryError: There is no such level or layer, the bounds show nothing of the grid, or
-                `dpi` is out of its range.
+            QueryError: There is no such level or layer, the bounds show nothing of the grid,
+                `dpi` is out of its range, or `path` has another ending.
             MissingDependencyError: The extra ``navbake[plot]`` is not installed.
 
         Example:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from navbake.errors import QueryError
+from navbake.errors import QueryError, count_of
 from navbake.navgrid.cells import Cell, Cells, check_cells, check_level, check_positions
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.islands import measure_clearance, step_limit
@@ -80,6 +80,10 @@ class AddedObstacle:
                 _change_counts(level, level.obstacle_state, level_layers, is_added=True)
                 self._blocked_levels.append((level, level.obstacle_state, level_layers))
         grid.obstacles.append(self)
+
+    def __repr__(self) -> str:
+        num_cells = sum(len(ids) for ids in self.cells)
+        return f"AddedObstacle({count_of(num_cells, 'cell')})"
 
     def free(self) -> None:
         """Free the cells, except those that other obstacles block. A second call does nothing."""

@@ -138,12 +138,14 @@ def plot_grid(grid: NavGrid, path: str | PathLike[str], **options: Any) -> Path:
 
     Args:
         grid: a grid of one or several levels.
-        path: the path of the file: an SVG if it ends in ``.svg``, a PDF if it ends in ``.pdf``,
-            else a PNG.
+        path: the path of the file, which ends in ``.png``, ``.svg`` or ``.pdf``.
         options: keyword arguments of `render_picture`.
 
     Returns:
         The path.
+
+    Raises:
+        QueryError: the path has another ending, or an option is not valid.
 
     Example:
         >>> plot_grid(grid, "figure.pdf", bounds=(0, 0, 5, 4), titles=False)
@@ -154,9 +156,18 @@ def plot_grid(grid: NavGrid, path: str | PathLike[str], **options: Any) -> Path:
 
 
 def find_picture_format(path: str | PathLike[str]) -> str:
-    """Return the format of a picture by its file's name: ``svg``, ``pdf``, else ``png``."""
+    """Return the format of a picture by its file's name: ``png``, ``svg`` or ``pdf``.
+
+    Raises:
+        QueryError: the name has another ending.
+    """
     suffix = Path(path).suffix.lower()
-    return suffix[1:] if suffix in PICTURE_SUFFIXES else "png"
+    if suffix not in PICTURE_SUFFIXES:
+        expected = f"a picture that ends in {', '.join(PICTURE_SUFFIXES)}"
+        raise QueryError(
+            f"expected {expected}, got {path}", key="path", value=str(path), expected=expected
+        )
+    return suffix[1:]
 
 
 def plot(

@@ -198,8 +198,9 @@ def test_inflate_names_the_stairs_that_it_closes_and_path_does_too(inflate, run)
 def test_a_grid_that_is_inflated_for_more_stays_so_and_that_is_said(inflate):
     inflate("house.json.gz", 0.4, "-o", "a.json")
     status, out, err = inflate("a.json", 0.2, "-o", "b.json")
-    warning = "a.json stays inflated for 0.4 m: inflate the grid as it was baked"
-    assert status == 0 and err.startswith(f"navbake: warning: {warning}\n")
+    warning = "the grid of 'house' stays inflated for 0.4 m, not 0.2 m"
+    remedy = "inflate the grid as it was baked"
+    assert status == 0 and err.startswith(f"navbake: warning: {warning}: {remedy}\n")
     assert "(100.0%) for an agent of radius 0.4 m" in out
     assert inflate("a.json", 0.4, "-o", "b.json")[2] == ""
     assert inflate("a.json", 0.2, "--mode", "minos", "-o", "b.json")[2] == ""

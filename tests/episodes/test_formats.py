@@ -249,7 +249,8 @@ ROW = "sceneId,startX,startY,startZ,startAngle,goalX,goalY,goalZ\na,0,0,0,{},1,0
 @pytest.mark.parametrize(
     ("name", "data", "message"),
     [
-        ("a.json.gz", gzip.compress(b"[" * 99, mtime=0)[:-9], r"broken gzip data in .*a\.json\.gz"),
+        ("a.json.gz", gzip.compress(b"[" * 99, mtime=0)[:-9],
+         r"broken gzip data in .*a\.json\.gz: .*; the file is incomplete"),
         ("a.csv.bz2", bz2.compress(b"x" * 99)[:-9], r"broken bzip2 data in .*a\.csv\.bz2"),
         ("a.json", b"{}", "missing required field `episodes`"),
         ("a.json", json.dumps({"episodes": [{**EPISODE, "goals": []}]}), "episode '1' has no goal"),

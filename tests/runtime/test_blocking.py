@@ -252,6 +252,15 @@ def test_bad_blocks(kwargs, expected):
         open_level(4).block(**kwargs)
 
 
+@pytest.mark.parametrize("place", [{"disc": ((50, 3, 0), 0.3)}, {"box": ((50, 3, 0), (51, 4, 1))}])
+def test_beside_the_grid_nothing_is_blocked_and_the_obstacle_says_so(place):
+    grid = open_level()
+    beside = grid.block(**place)
+    assert repr(beside) == "AddedObstacle(0 cells)" and [len(ids) for ids in beside.cells] == [0]
+    assert grid.free.all()
+    assert repr(grid.block(cells=(0, 2, 2))) == "AddedObstacle(1 cell)"
+
+
 @pytest.mark.parametrize("derive", [lambda g: g.inflate(0.1), lambda g: g.with_doors("open")])
 def test_a_derived_grid_keeps_what_was_blocked_whatever_happens_to_the_first(derive):
     grid = open_level()

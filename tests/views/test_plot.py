@@ -2,6 +2,7 @@
 
 import io
 import math
+import re
 import sys
 from itertools import combinations
 
@@ -109,6 +110,14 @@ def test_writes_the_file_whole_or_not_at_all(tmp_path, house):
     assert [p.name for p in tmp_path.iterdir()] == ["house.png"]
     with pytest.raises(NavbakeError, match=r"cannot write .*none.*house\.png"):
         plot_grid(house, tmp_path / "none" / "house.png")
+
+
+@pytest.mark.parametrize("name", ["house.bmp", "house.jpg", "house", "house.png.tmp"])
+def test_a_picture_of_another_kind_is_refused_not_written_as_png(tmp_path, house, name):
+    expected = r"expected a picture that ends in \.png, \.svg, \.pdf, got .*"
+    with pytest.raises(QueryError, match=expected + re.escape(name)):
+        house.plot(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_tells_how_to_get_matplotlib(monkeypatch, house):
