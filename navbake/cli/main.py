@@ -26,7 +26,7 @@ from navbake.cli.exchange import convert, inflate, map_descriptor, routes
 from navbake.cli.fly import fly
 from navbake.cli.look import plot, report, view
 from navbake.cli.options import NavbakeCommand, prepare_command
-from navbake.cli.printing import add_warning, print_causes, print_error, print_warnings
+from navbake.cli.printing import add_warning, print_causes, print_error, print_package_warnings
 from navbake.errors import NavbakeError
 
 # No command draws with OpenGL. MuJoCo's import is faster without looking for it.
@@ -93,11 +93,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         # names may contain characters that the terminal's encoding lacks
         sys.stdout.reconfigure(errors="backslashreplace")
-    for name in ("navbake.compiled", "navbake.formats", "navbake.runtime"):
+    for name in ("navbake.compiled", "navbake.formats"):
         logging.getLogger(name).handlers[:] = [_LogPrinter()]
     try:
         try:
-            COMMAND_LINE(None if arguments is None else list(arguments), prog_name="navbake")
+            with print_package_warnings():
+                COMMAND_LINE(None if arguments is None else list(arguments), prog_name="navbake")
         finally:  # flush, which may fail, too
             if sys.stdout is not None:
                 sys.stdout.flush()
@@ -120,9 +121,6 @@ class _LogPrinter(logging.Handler):
     """Prints each log record as a line on stderr."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        if record.name.startswith("navbake.runtime"):
-            print_warnings([record.getMessage()])
-            return
         print_error(record.getMessage())
         if record.name.startswith("navbake.formats"):  # what a file has no place for
             add_warning(record.getMessage())

@@ -12,6 +12,7 @@ import logging
 import shutil
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -194,11 +195,34 @@ def print_causes(error: BaseException) -> None:
         cause = cause.__cause__
 
 
-def print_warnings(warnings: Iterable[str]) -> None:
+def print_warnings(texts: Iterable[str]) -> None:
     """Print warnings on stderr, one line each, and add them to the object of --json."""
-    for warning in warnings:
-        print_error(f"warning: {warning}")
-        add_warning(warning)
+    for text in texts:
+        print_error(f"warning: {text}")
+        add_warning(text)
+
+
+@contextmanager
+def print_package_warnings() -> Iterator[None]:
+    """Within it, Python's warnings of navbake's own categories are printed by `print_warnings`."""
+    show_as_python = warnings.showwarning
+
+    def show_warning(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if category.__module__.startswith("navbake."):
+            print_warnings([str(message)])
+        else:
+            show_as_python(message, category, filename, lineno, file, line)
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show_warning
+        yield
 
 
 def warn_of_closed_connections(
@@ -223,9 +247,9 @@ def warn_of_closed_connections(
     num_before = search_before.islands.count
     verb = "was" if num_before == 1 else "were"
     islands_text = f"{search_after.islands.count} islands where there {verb} {num_before}"
-    warnings = [f"a radius of {radius:g} m closes {names_text}: {islands_text}"]
-    print_warnings(warnings)
-    return warnings
+    texts = [f"a radius of {radius:g} m closes {names_text}: {islands_text}"]
+    print_warnings(texts)
+    return texts
 
 
 def is_terminal(stream: TextIO | None) -> bool:

@@ -19,8 +19,8 @@ Source: ``refine`` of MINOS's client (``NavScene.js`` in sstk) for mode ``minos`
 
 from __future__ import annotations
 
-import logging
 import math
+import warnings
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
@@ -40,7 +40,6 @@ from navbake.types import Bool, Float, Int, Int32, Json
 if TYPE_CHECKING:
     from navbake.runtime.inflation_kernels import LevelStack
 
-LOG = logging.getLogger("navbake.runtime")
 ndimage = lazy("scipy.ndimage")
 
 AnyGrid = TypeVar("AnyGrid", SceneGrid2D, MultiLevelGrid)
@@ -92,6 +91,10 @@ class OffCenterMasks(NamedTuple):
     sweepable: Bool
 
 
+class InflationWarning(UserWarning):
+    """A warning that a grid stays inflated for a larger radius than the wanted one."""
+
+
 def inflate(
     grid: AnyGrid,
     radius: float,
@@ -132,11 +135,11 @@ def inflate(
         distance_of_cost_1 = math.log(MAX_FREE_COST) / scaling  # where nav2's costs fall to 1
         clearance = min(distance_of_cost_1, MAX_RADIUS) if costs == "nav2" else 0.0
     if mode == "exact" and radius < grid.inflated_radius:
-        LOG.warning(
-            "the grid of %r stays inflated for %g m, not %g m: inflate the grid as it was baked",
-            grid.scene_id,
-            grid.inflated_radius,
-            radius,
+        warnings.warn(
+            f"the grid of {grid.scene_id!r} stays inflated for {grid.inflated_radius:g} m, not "
+            f"{radius:g} m: inflate the grid as it was baked",
+            InflationWarning,
+            stacklevel=3,
         )
     # a map shows no smaller obstacles than those that block now; a bake's layer `solid` does
     is_map = not any("solid" in level.attributes for level in grid.levels)

@@ -195,13 +195,16 @@ def test_inflate_names_the_stairs_that_it_closes_and_path_does_too(inflate, run)
     assert (status, err) == (0, "")
 
 
-def test_a_grid_that_is_inflated_for_more_stays_so_and_that_is_said(inflate):
+@pytest.mark.filterwarnings("default::UserWarning")
+def test_a_grid_that_is_inflated_for_more_stays_so_and_that_is_said(inflate, run):
     inflate("house.json.gz", 0.4, "-o", "a.json")
     status, out, err = inflate("a.json", 0.2, "-o", "b.json")
     warning = "the grid of 'house' stays inflated for 0.4 m, not 0.2 m"
     remedy = "inflate the grid as it was baked"
     assert status == 0 and err.startswith(f"navbake: warning: {warning}: {remedy}\n")
     assert "(100.0%) for an agent of radius 0.4 m" in out
+    ends = ("--from", "0,-4.8,L0", "--to", "1,-4.8,L0", "--radius", 0.2)
+    assert run("path", "a.json", *ends)[2] == f"navbake: warning: {warning}: {remedy}\n"
     assert inflate("a.json", 0.4, "-o", "b.json")[2] == ""
     assert inflate("a.json", 0.2, "--mode", "minos", "-o", "b.json")[2] == ""
 

@@ -24,6 +24,7 @@ from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
 from navbake.errors import printable
 from navbake.lengths import format_length
+from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import has_building
 from navbake.types import Bool, Float, Int
 
@@ -39,6 +40,11 @@ YARD_SHARE = 0.75
 MAX_GROUND_ERROR = 0.5
 MIN_HOLE_AREA = 0.05  # smaller holes in a mesh aren't counted in a warning [m²]
 MAX_NAMED_BODIES = 3  # movable bodies that a warning names
+# Cells are too coarse where they are larger than `MAX_BUILDING_CELL` and the scene is narrower than
+# `MIN_CELLS_ACROSS` of them. An opening is free for certain only if it is two cells wide, so larger
+# cells close doors of a metre. Open land is baked so coarsely, too, but spans more cells.
+MAX_BUILDING_CELL = 0.5  # [m]
+MIN_CELLS_ACROSS = 20
 
 
 class PatchWarning(NamedTuple):
@@ -148,6 +154,7 @@ def warn_of_structure(
         The warnings, one printable line each.
     """
     warnings = [
+        *_warn_coarse(floor_lattice.lattice),
         *_warn_cropped(config, floor_lattice, scene),
         *_warn_patches(floors, scene, PATCH_WARNINGS_BEFORE_GROUNDS),
         *_warn_high_grounds(config, floors),
@@ -192,6 +199,17 @@ def collect_warnings(
         *baked_structure.warnings,
         *map(printable, pose_warnings),
     ]
+
+
+def _warn_coarse(lattice: Lattice) -> Iterator[str]:
+    """Warn of cells that are too coarse for the scene that they cover."""
+    num_cells_across = min(lattice.width, lattice.height)
+    if lattice.cell_size > MAX_BUILDING_CELL and num_cells_across < MIN_CELLS_ACROSS:
+        yield (
+            f"cells of {lattice.cell_size:g} m are coarse for a scene of {lattice.width} x "
+            f"{lattice.height} cells: what is narrower than two cells, such as a door, may be "
+            "closed; set `grid.cell_size`, 0.1 by default"
+        )
 
 
 def _warn_cropped(config: BakeConfig, floor_lattice: FloorLattice, scene: Scene) -> Iterator[str]:

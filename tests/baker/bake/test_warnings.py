@@ -104,6 +104,22 @@ def movable(result):
     return [warning for warning in result.warnings if "bodies that can move take floor" in warning]
 
 
+@pytest.mark.parametrize(
+    ("cell_size", "half_width", "is_told"),
+    [(10.0, 5.0, True), (1.0, 9.0, True), (1.0, 11.0, False), (0.5, 2.0, False)],
+)
+def test_cells_that_are_coarse_for_their_scene_are_told(scene, cell_size, half_width, is_told):
+    floor = f'<geom type="box" size="{half_width} 30 .1" pos="0 0 -.1"/>'
+    config = scene(floor, grid={"cell_size": cell_size})
+    warnings = run_bake(parse_config(config)).grid.warnings
+    told = [warning for warning in warnings if "are coarse for a scene of" in warning]
+    assert len(told) == is_told
+    if is_told:
+        width = round(2 * half_width / cell_size)
+        assert f"cells of {cell_size:g} m are coarse for a scene of {width} x " in told[0]
+        assert "set `grid.cell_size`" in told[0]
+
+
 def test_a_robot_that_takes_floor_is_named(scene):
     robot = ROBOT.format(x=0.5, y=0.5, z=0.3)
     result = run_bake(parse_config(scene(robot)))
