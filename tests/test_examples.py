@@ -14,7 +14,7 @@ from project_paths import ROOT
 
 EXAMPLES = ROOT / "examples"
 PRINTED = {
-    "bake_and_look": ["level 1: 100 x 81 cells, ground 3.00 m", "['dining_table']"],
+    "bake_and_look": ["level 1: 102 x 83 cells, ground 3.00 m", "['dining_table']"],
     "doors": ["door: joint hinge, modelled", "door 'door' (closed) is in the way", "open: 4.00 m"],
     "draw_in_mujoco": ["arrived after 1", " frames in film.gif"],
     "fly_through_a_house": [

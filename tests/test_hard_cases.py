@@ -226,8 +226,9 @@ def test_roofs_are_no_levels(bake, name, islands):
 def test_storey_with_a_crack_is_one_floor_and_one_walk(bake):
     ground, storey = bake("12_crack.xml").grid.levels
     # the crack is closed up to its open end at the slabs' edge
-    assert storey.shape == (50, 101) and (storey.floor_height == np.float32(3.1)).all()
-    assert storey.free.all()
+    has_floor = ~np.isnan(storey.floor_height)
+    assert has_floor.sum() == 50 * 101 and (storey.floor_height[has_floor] == np.float32(3.1)).all()
+    assert (storey.free == has_floor).all()
     assert (find_islands(storey)[0][storey.free] == 1).all()
     assert joins(storey, (-4, 0), (4, 0), (0, -2), (0, 2))
     assert ground.free.all() and (ground.floor_height == 0).all()

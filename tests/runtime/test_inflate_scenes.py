@@ -159,6 +159,42 @@ def test_a_floor_ends_alike_whether_there_is_a_storey_over_it_or_not(tmp_path):
     assert not free_below[0].all()  # the shelf
 
 
+WALLS_BESIDE_FLOORS = """
+<mujoco><worldbody>
+  <geom name="floor" type="box" size="2 1.5 0.1" pos="0 0 -0.1"/>
+  <geom name="slab" type="box" size="{slab_x} 1.5 0.1" pos="{slab_pos} 0 2.9"/>
+  <geom name="south" type="box" size="2.1 0.05 3" pos="0 -1.55 3"/>
+  <geom name="north" type="box" size="2.1 0.05 3" pos="0 1.55 3"/>
+  <geom name="west" type="box" size="0.05 1.6 3" pos="-2.05 0 3"/>
+  <geom name="east" type="box" size="0.05 1.6 3" pos="2.05 0 3"/>
+</worldbody></mujoco>
+"""
+
+
+@pytest.mark.filterwarnings("ignore::navbake.BakeWarning")
+@pytest.mark.parametrize("cell_size", [0.05, 0.1, 0.17])
+@pytest.mark.parametrize(("slab_x", "slab_pos"), [(2.0, 0.0), (1.0, -1.0)])
+def test_outer_walls_beside_the_floors_of_storeys_keep_larger_agents_away(
+    tmp_path, cell_size, slab_x, slab_pos
+):
+    """No floor lies under the walls: each level is cropped to the cells that have one."""
+    path = tmp_path / "scene.xml"
+    path.write_text(WALLS_BESIDE_FLOORS.format(slab_x=slab_x, slab_pos=slab_pos))
+    grid = navbake.bake(path, grid={"cell_size": cell_size}, floors={"reach": "all"})
+    assert len(grid.levels) == 2
+    wide = navbake.bake(
+        path, grid={"cell_size": cell_size}, floors={"reach": "all"}, agent={"radius": 0.3}
+    )
+    for level, wide_level in zip(grid.inflate(0.3).levels, wide.levels, strict=True):
+        row, col = np.nonzero(level.free)
+        x, y = level.lattice.positions(row, col).T
+        assert len(x) and np.abs(x).max() < 1.7 + 1e-6 and np.abs(y).max() < 1.2 + 1e-6
+        # the wide bake lets the agent hang over the edge of the slab, the inflated grid does not
+        assert (level.free <= wide_level.free).all()
+        if slab_x == 2.0 and cell_size != 0.17:  # whose cells end at the walls' faces
+            np.testing.assert_array_equal(level.free, wide_level.free)
+
+
 @pytest.mark.parametrize(("name", "keyframe"), [("house", "doors_open"), ("apartment", None)])
 def test_a_body_on_free_cells_of_the_samples_touches_nothing(name, keyframe):
     radius, step = 0.25, 0.25

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.core.windows import Window, bounding_window
+from navbake.baker.core.windows import Window, bounding_window, grow_window
 from navbake.baker.floors.levels import LevelFloor
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int, Vector3
@@ -62,11 +62,15 @@ def find_level_boxes(
     """Crop each level to its own rectangle of the lattice, and find its box.
 
     A single level keeps the whole lattice. Its box is the scene's, enlarged where a floor lies
-    outside. Several levels are each cropped to the cells that have a floor, and a level's box spans
-    its rectangle. Only where the scene ends in the outer half of the rectangle's last cells, the
-    box ends there, too. In height, it spans from `BOX_MARGIN` below the level's lowest floor to
-    `BOX_GAP` below the next box above it, or to the scene's top. An agent on the highest floor is
-    inside of the highest level's box. Whether doors are open or closed has no influence on either.
+    outside.
+
+    Several levels are each cropped to the cells that have a floor, and to one cell around these. As
+    it has no floor, it is occupied: so the walls around a floor keep larger agents away. A level's
+    box spans the cells that have a floor, without those around them. Only where the scene ends in
+    the outer half of the last of these cells, the box ends there, too. In height, it spans from
+    `BOX_MARGIN` below the level's lowest floor to `BOX_GAP` below the next box above it, or to the
+    scene's top. An agent on the highest floor is inside of the highest level's box. Whether doors
+    are open or closed has no influence on either.
 
     Args:
         levels: the levels on the whole lattice, lowest first.
@@ -82,8 +86,8 @@ def find_level_boxes(
     floors = [level.floor.astype(np.float32) for level in levels]  # as written to a file
     lowest_floors = [float(np.fmin.reduce(floor, axis=None)) for floor in floors]
     highest_floors = [float(np.fmax.reduce(floor, axis=None)) for floor in floors]
-    windows = [bounding_window(~np.isnan(floor)) for floor in floors]
-    box_sides = [_level_sides(lattice.cut(*window), scene_box) for window in windows]
+    floor_windows = [bounding_window(~np.isnan(floor)) for floor in floors]
+    box_sides = [_level_sides(lattice.cut(*window), scene_box) for window in floor_windows]
     if len(levels) == 1:
         full_window = (slice(0, lattice.height), slice(0, lattice.width))
         box = _single_level_box(
@@ -106,14 +110,14 @@ def find_level_boxes(
         ]
     tops, num_misplaced_cells = _find_tops(
         free_floors,
-        windows=windows,
+        windows=floor_windows,
         bottoms=bottoms,
         lowest_floors=np.array(lowest_floors),
         highest_top=round(highest_top, LENGTH_DECIMALS),
     )
     boxes = [_to_file_frame(*box) for box in zip(box_sides, bottoms, tops, strict=True)]
     return LevelBoxes(
-        windows=windows,
+        windows=[grow_window(window, 1, 1, lattice.shape) for window in floor_windows],
         boxes=boxes,
         num_misplaced_cells=int(num_misplaced_cells.sum()),
         misplaced_levels=np.flatnonzero(num_misplaced_cells).tolist(),
@@ -137,7 +141,7 @@ def _find_tops(
     Args:
         free_floors: the floor of each level's free cells as written, NaN elsewhere [m]. Cells that
             the client misplaces become NaN.
-        windows: the rectangle of each level.
+        windows: the rectangle of each level's cells that have a floor.
         bottoms: the bottom of each level's box [m].
         lowest_floors: the lowest floor of each level, free or not, shape (levels,) [m].
         highest_top: the top of the highest box [m].
@@ -238,11 +242,11 @@ def _last_floor(floors: Float, heights_above: Float) -> float:
 def _level_sides(lattice: Lattice, scene_box: Float | None) -> Float:
     """Return x_min, y_min, x_max, y_max of a level's box, shape (4,) [m].
 
-    They are the sides of the level's rectangle of cells. Where the scene ends in the outer half of
-    the rectangle's last cells, the scene's side takes their place.
+    They are the sides of the rectangle of the level's cells that have a floor. Where the scene ends
+    in the outer half of the rectangle's last cells, the scene's side takes their place.
 
     Args:
-        lattice: the cells of the level's rectangle.
+        lattice: the cells of this rectangle.
         scene_box: the box of all finite geoms of the structure, (2, 3) [m]; None for none.
     """
     x_min, y_min, x_max, y_max = lattice.bounds

@@ -141,9 +141,16 @@ def floors(draw, most_levels=2):
 LATTICE = Lattice(0.0, 1.0, 1.0, WIDTH, 1)
 
 
-def count_lost(levels, occupied, windows, heights):
+def floor_cols(level):
+    """The columns from the first cell of a level that has a floor to the last one."""
+    cols = np.flatnonzero(~np.isnan(level.floor[0]))
+    return slice(int(cols[0]), int(cols[-1]) + 1)
+
+
+def count_lost(levels, occupied, heights):
     """Cell by cell: how many free cells are not in the first box that holds them."""
     lost = 0
+    cols_of_boxes = [floor_cols(level) for level in levels]
     for number, (level, blocked) in enumerate(zip(levels, occupied, strict=True)):
         for col in range(WIDTH):
             z = float(np.float32(level.floor[0, col]))
@@ -151,7 +158,9 @@ def count_lost(levels, occupied, windows, heights):
                 continue
             holding = [
                 other
-                for other, ((_, cols), (low, high)) in enumerate(zip(windows, heights, strict=True))
+                for other, (cols, (low, high)) in enumerate(
+                    zip(cols_of_boxes, heights, strict=True)
+                )
                 if cols.start <= col < cols.stop and low <= z <= high
             ]
             lost += holding[:1] != [number]
@@ -163,9 +172,21 @@ def count_lost(levels, occupied, windows, heights):
 def test_lost_cells_are_counted_right(scene):
     found = find_level_boxes(*scene, LATTICE, None, 1.14)
     heights = [(low[1], high[1]) for low, high in found.boxes]
-    assert count_lost(*scene, found.windows, heights) == found.num_misplaced_cells
-    for (_, cols), (low, high) in zip(found.windows, found.boxes, strict=True):
+    assert count_lost(*scene, heights) == found.num_misplaced_cells
+    for level, (low, high) in zip(scene[0], found.boxes, strict=True):
+        cols = floor_cols(level)
         assert (low[0], high[0]) == (cols.start, cols.stop) and low[1] <= high[1]
+
+
+@given(floors(most_levels=4))
+@settings(max_examples=50, deadline=None)
+def test_levels_have_one_cell_around_their_floors_where_the_lattice_has_one(scene):
+    levels, occupied = scene
+    found = find_level_boxes(levels, occupied, LATTICE, None, 1.14)
+    for level, (_, cols) in zip(levels, found.windows, strict=True):
+        cols_of_floor = floor_cols(level)
+        assert cols.start == max(cols_of_floor.start - 1, 0)
+        assert cols.stop == min(cols_of_floor.stop + 1, WIDTH)
 
 
 @given(floors())
@@ -175,7 +196,7 @@ def test_of_two_levels_no_other_boxes_lose_fewer(scene):
     (low0, _), (low1, high1) = ((low[1], high[1]) for low, high in found.boxes)
     every = np.unique(np.concatenate([level.floor.ravel() for level in scene[0]]))
     tops = [low0, *every[~np.isnan(every)].astype(np.float32).astype(float)]
-    fewest = min(count_lost(*scene, found.windows, [(low0, top), (low1, high1)]) for top in tops)
+    fewest = min(count_lost(*scene, [(low0, top), (low1, high1)]) for top in tops)
     assert found.num_misplaced_cells == fewest
 
 
@@ -187,7 +208,7 @@ def test_boxes_share_no_height_over_a_cell_unless_levels_interleave(scene):
     for a in range(len(levels)):
         free = levels[a].floor[~np.isnan(levels[a].floor) & ~occupied[a]]
         for b in range(a + 1, len(levels)):
-            (_, one), (_, other) = found.windows[a], found.windows[b]
+            one, other = floor_cols(levels[a]), floor_cols(levels[b])
             apart = one.start >= other.stop or other.start >= one.stop
             lowest = np.nanmin(levels[b].floor)
             if not apart and len(free) and lowest - 2 * BOX_MARGIN > free.max():
