@@ -22,6 +22,9 @@ mypy
 navbake warm-up # compiled once, before several processes need it
 # the processes share the cores; numpy's matrix products would start threads in each of them
 export OPENBLAS_NUM_THREADS=1
+# what JAX compiles is kept for the next run: for most of its tests, compiling takes the longest
+export JAX_COMPILATION_CACHE_DIR=$PWD/.pytest_cache/jax
+export JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS=0 JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES=-1
 # one more than there are cores, at most 4: some tests wait for the processes that they start
 processes=$(python -c "import os; print(min((os.cpu_count() or 1) + 1, 4))")
 # -rs lists what was skipped, and why; the tests of a file stay in one process, and the files that
