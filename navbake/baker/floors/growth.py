@@ -28,6 +28,8 @@ from navbake.errors import SceneError
 from navbake.threads import LEAST_CELLS, run_in_chunks
 from navbake.types import Bool, Float, Int, Int32
 
+# Surfaces whose levels are looked up together: few enough for the cache
+SURFACES_PER_PIECE = 1 << 16
 NO_CELLS = np.empty(0, dtype=np.int64)
 NO_STEPS = np.empty((0, 4), dtype=np.int64)
 # Numbers of levels are stored as int16, and the greatest one stands for no level
@@ -63,14 +65,19 @@ def select_growing_surfaces(
     component_of_surface = regions.components.component_of_surface
     # the last entry of each table is for surfaces of no component, and for those on no level
     is_barrier_component = np.append(is_growth_barrier[regions.region_of_component], False)
+    level_without_floor = np.where(is_barrier_component, BARRIER, NO_LEVEL).astype(np.int16)
     level_of_number = np.append(assignment.final_level, NO_LEVEL).astype(np.int16)
     level_of_surface = np.empty(len(surfaces.z), dtype=np.int16)
 
     def write_levels(begin: int, end: int) -> None:
-        level = level_of_number[np.maximum(assignment.preliminary_level[begin:end], -1)]
-        is_barrier = is_barrier_component[component_of_surface[begin:end]]
-        level[is_barrier & (level == NO_LEVEL)] = BARRIER
-        level_of_surface[begin:end] = level
+        for first_surface in range(begin, end, SURFACES_PER_PIECE):
+            piece = slice(first_surface, min(first_surface + SURFACES_PER_PIECE, end))
+            level = level_of_surface[piece]
+            number = np.maximum(assignment.preliminary_level[piece], -1)
+            # "wrap", as -1 stands for the last entry
+            np.take(level_of_number, number, mode="wrap", out=level)
+            other_level = np.take(level_without_floor, component_of_surface[piece], mode="wrap")
+            np.copyto(level, other_level, where=level == NO_LEVEL)
 
     run_in_chunks(write_levels, len(surfaces.z), min_chunk_size=LEAST_CELLS)
     return GrowingSurfaces(
@@ -103,18 +110,23 @@ def grow_levels(
     num_cells = surfaces.lattice.width * surfaces.lattice.height
     highest_level_below = np.empty(len(surfaces.z), dtype=np.int16)
     lowest_level_above = np.empty(len(surfaces.z), dtype=np.int16)
-    floor_heights = np.full((num_levels, num_cells), np.nan)
-    ring_of_cells = np.full((num_levels, num_cells), NO_FLOOR, dtype=np.int32)
-    run_in_chunks(
-        kernels.start_floors,
-        num_cells,
-        surfaces,
-        highest_level_below,
-        lowest_level_above,
-        floor_heights,
-        ring_of_cells,
-        min_chunk_size=LEAST_CELLS,
-    )
+    floor_heights = np.empty((num_levels, num_cells))
+    ring_of_cells = np.empty((num_levels, num_cells), dtype=np.int32)
+
+    def start_floors(begin: int, end: int) -> None:
+        floor_heights[:, begin:end] = np.nan
+        ring_of_cells[:, begin:end] = NO_FLOOR
+        kernels.start_floors(
+            surfaces,
+            highest_level_below,
+            lowest_level_above,
+            floor_heights,
+            ring_of_cells,
+            begin,
+            end,
+        )
+
+    run_in_chunks(start_floors, num_cells, min_chunk_size=LEAST_CELLS)
     can_grow = np.empty(len(surfaces.z), dtype=np.uint8)
     floors = []
     for level_number in range(num_levels):
