@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from navbake.runtime.inflation_kernels import LevelStack
 
 ndimage = lazy("scipy.ndimage")
+threads = lazy("navbake.threads")  # numba loads slowly
 
 AnyGrid = TypeVar("AnyGrid", SceneGrid2D, MultiLevelGrid)
 
@@ -160,16 +161,14 @@ def inflate(
             is_blocked = ~level.free
         else:
             is_blocked = find_blocked(grid, level_number, radius, ledges)
-        weights = level.weights.copy()
-        if "solid" in level.attributes:
-            weights[level.free_for_point & ~level.free] = 1.0
+        least_weights = None
         if costs == "nav2":
             level_costs = nav2_costs(grid, radius, radius + clearance, scaling, level=level_number)
-            np.maximum(weights, np.clip(level_costs, 1, MAX_FREE_COST), out=weights)
-        elif clearance > 0:
+            least_weights = np.clip(level_costs, 1, MAX_FREE_COST)
+        weights = _combine_weights(level, is_blocked, least_weights)
+        if costs == "step" and clearance > 0:
             is_in_clearance = find_blocked(grid, level_number, radius + clearance, ledges)
             np.maximum(weights, STEP_COST, out=weights, where=is_in_clearance)
-        weights[is_blocked] = np.inf
         weights_by_level.append(weights)
 
     inflation_entry: Json = {"radius": float(radius), "clearance": float(clearance), "mode": mode}
@@ -203,6 +202,42 @@ def inflate(
         layer_names = {name for level in levels for name in level.attributes}
         add_layers(inflated_grid, layer_names & {"island", "clearance"})
     return inflated_grid
+
+
+def _combine_weights(
+    level: SceneGrid2D, is_blocked: Bool, least_weights: NDArray[np.uint8] | None
+) -> Float:
+    """Compute the weights of an inflated level.
+
+    Cells that only the baked radius blocked weigh 1 where they are free now.
+
+    Args:
+        level: the level before.
+        is_blocked: whether each cell is blocked now, shape (height, width).
+        least_weights: the least weight of each free cell, shape (height, width); None for none.
+
+    Returns:
+        Weights, inf in blocked cells, shape (height, width).
+    """
+    is_opened = None
+    if "solid" in level.attributes:
+        is_opened = level.free_for_point & ~level.free
+    weights = np.empty(level.shape)
+
+    def combine_rows(first_row: int, end_row: int) -> None:
+        rows = slice(first_row, end_row)
+        row_weights = weights[rows]
+        row_weights[:] = level.weights[rows]
+        if is_opened is not None:
+            row_weights[is_opened[rows]] = 1.0
+        if least_weights is not None:
+            np.maximum(row_weights, least_weights[rows], out=row_weights)
+        row_weights[is_blocked[rows]] = np.inf
+
+    threads.run_in_chunks(
+        combine_rows, level.height, min_chunk_size=max(1, threads.LEAST_CELLS // level.width)
+    )
+    return weights
 
 
 def _add_inflation_entry(metadata: Json, entry: Json) -> Json:

@@ -4,7 +4,7 @@ All distances on the map are in cells.
 
 Distances and what lies within them are found in two passes, as in the exact distance transform of
 Meijster, Roerdink and Hesselink (2000): first along the columns, then along the rows. Along rows,
-`dilate_along_rows` unites intervals, and `look_up_along_rows` compares parabolas.
+`dilate_along_rows` unites intervals, and `look_up_along_rows` steps to neighbours.
 
 To find where floors are too high or too low for an agent, patches of 4 x 4 cells are compared
 first, by their lowest and highest floors (one step of a min-max pyramid). Single cells are compared
@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from navbake.compiled import kernel, subkernel
-from navbake.runtime.envelope_kernels import add_parabola
 from navbake.runtime.grid_arrays import EAST, NORTH, SOUTH, WEST
 
 PATCH_SIZE = 4  # edge of the squares of cells by which floors are compared first
@@ -52,33 +51,33 @@ class LevelStack(NamedTuple):
     height: float
 
 
-@kernel(nogil=True)
-def measure_along_columns(is_occupied, max_distance, row_distances, begin, end):
-    """Measure how many rows the cells of some columns are away from the nearest occupied cell.
+@kernel
+def measure_along_columns(is_occupied, max_distance):
+    """Measure how many rows each cell is away from the nearest occupied cell of its column.
 
-    The nearest one of their own column counts. This is the first pass of Felzenszwalb and
-    Huttenlocher's exact Euclidean distance transform ("Distance Transforms of Sampled Functions",
-    2012); `look_up_along_rows` is the second one.
+    This is the first pass of an exact Euclidean distance transform; `look_up_along_rows` is the
+    second one.
 
     Args:
         is_occupied: uint8, shape (rows, cols).
         max_distance: the distance of cells that are farther away, or whose column has no occupied
             cell.
-        row_distances: receives the distances, int32, shape (rows, cols).
-        begin: first column.
-        end: the column after the last.
+
+    Returns:
+        int32, shape (rows, cols).
     """
-    num_rows = is_occupied.shape[0]
-    for col in range(begin, end):
-        row_distances[0, col] = 0 if is_occupied[0, col] else max_distance
-    for row in range(1, num_rows):
-        for col in range(begin, end):
+    num_rows, num_cols = is_occupied.shape
+    row_distances = np.empty((num_rows, num_cols), dtype=np.int32)
+    for row in range(num_rows):
+        for col in range(num_cols):
+            distance_above = row_distances[row - 1, col] if row > 0 else max_distance
             row_distances[row, col] = (
-                0 if is_occupied[row, col] else min(row_distances[row - 1, col] + 1, max_distance)
+                0 if is_occupied[row, col] else min(distance_above + 1, max_distance)
             )
     for row in range(num_rows - 2, -1, -1):
-        for col in range(begin, end):
+        for col in range(num_cols):
             row_distances[row, col] = min(row_distances[row, col], row_distances[row + 1, col] + 1)
+    return row_distances
 
 
 @kernel(nogil=True)
@@ -119,8 +118,13 @@ def dilate_along_rows(row_distances, half_width, is_covered, begin, end):
 def look_up_along_rows(row_distances, cost_of_square, costs, begin, end):
     """Look up the costs of the cells of some rows by their distance to the nearest occupied cell.
 
-    Along a row, an occupied cell of each column is a parabola over the row's cells. The lower
-    envelope of all parabolas is the squared distance, see `measure_along_columns`.
+    The squared distance of a cell is the least sum, over the cells of its row, of the square of
+    their distance along the column and the square of the offset to them. Squares are sums of odd
+    numbers, so that it is found by steps to neighbours that cost 1, 3, 5, …: after k steps, cells
+    up to k columns away count (Shih and Mitchell, "A Mathematical Morphology Approach to Euclidean
+    Distance Transformation", 1992). A step that lowers no distance is the last one, as later steps
+    cost more. The steps of a row take as long as walls are apart in it, and few of a processor's
+    instructions; envelopes of parabolas (Felzenszwalb and Huttenlocher) take longer in buildings.
 
     Args:
         row_distances: the distances along columns, from `measure_along_columns`.
@@ -131,38 +135,33 @@ def look_up_along_rows(row_distances, cost_of_square, costs, begin, end):
         end: the row after the last.
     """
     num_cols = row_distances.shape[1]
-    num_squares = cost_of_square.shape[0]
-    centers = np.empty(num_cols)  # columns of the parabolas of the envelope
-    heights = np.empty(num_cols)  # what they measure at their centres
-    bounds = np.empty(num_cols + 1)  # from where to where each parabola is the lowest
+    num_squares = np.int32(cost_of_square.shape[0])
+    # squared distances before and after a step, with a cell that is too far at both ends
+    squares = np.empty(num_cols + 2, dtype=np.int32)
+    next_squares = np.empty(num_cols + 2, dtype=np.int32)
     for row in range(begin, end):
-        num_parabolas = 0
+        for end_square in (squares, next_squares):
+            end_square[0] = num_squares
+            end_square[num_cols + 1] = num_squares
         for col in range(num_cols):
-            height = np.int64(row_distances[row, col]) * row_distances[row, col]
-            is_inside = (
-                height == 0
-                and 0 < col < num_cols - 1
-                and row_distances[row, col - 1] == 0
-                and row_distances[row, col + 1] == 0
-            )
-            # inside of occupied cells, the parabolas of those at the rim are as low elsewhere
-            if height < num_squares and not is_inside:
-                num_parabolas = add_parabola(
-                    centers, heights, bounds, num_parabolas, float(col), float(height)
-                )
-        parabola = 0
+            square = np.int64(row_distances[row, col]) * row_distances[row, col]
+            squares[col + 1] = min(square, num_squares)
+        step_cost = np.int32(1)
+        num_lowered = 1
+        while num_lowered > 0 and step_cost < num_squares:
+            num_lowered = 0
+            for col in range(num_cols):
+                left = squares[col]
+                right = squares[col + 2]
+                stepped = np.int32((left if left < right else right) + step_cost)
+                square_here = squares[col + 1]
+                next_squares[col + 1] = stepped if stepped < square_here else square_here
+                num_lowered += stepped < square_here
+            squares, next_squares = next_squares, squares
+            step_cost = np.int32(step_cost + 2)
         for col in range(num_cols):
-            if row_distances[row, col] == 0:
-                costs[row, col] = cost_of_square[0]
-                continue
-            if num_parabolas == 0:
-                costs[row, col] = 0
-                continue
-            while bounds[parabola + 1] < col:
-                parabola += 1
-            offset = col - centers[parabola]
-            square = np.int64(heights[parabola] + offset * offset)
-            costs[row, col] = cost_of_square[square] if square < num_squares else 0
+            square_here = squares[col + 1]
+            costs[row, col] = cost_of_square[square_here] if square_here < num_squares else 0
 
 
 @kernel

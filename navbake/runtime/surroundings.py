@@ -230,7 +230,7 @@ def look_up_by_distance(
     threads.run_in_chunks(
         kernels.look_up_along_rows,
         len(occupied),
-        _measure_along_columns(occupied, max_distance),
+        kernels.measure_along_columns(occupied, max_distance),
         cost_of_square,
         costs,
         min_chunk_size=max(1, threads.LEAST_CELLS // occupied.shape[1]),
@@ -261,34 +261,12 @@ def _dilate(is_occupied: NDArray[np.uint8], half_widths: Int32) -> Bool:
     threads.run_in_chunks(
         kernels.dilate_along_rows,
         len(is_occupied),
-        _measure_along_columns(is_occupied, len(half_widths) - 1),
+        kernels.measure_along_columns(is_occupied, len(half_widths) - 1),
         half_widths,
         is_covered,
         min_chunk_size=max(1, threads.LEAST_CELLS // is_occupied.shape[1]),
     )
     return is_covered
-
-
-def _measure_along_columns(is_occupied: NDArray[np.uint8], max_distance: int) -> Int32:
-    """Measure how many rows each cell is away from the nearest occupied cell of its column.
-
-    Args:
-        is_occupied: shape (rows, cols).
-        max_distance: the distance of cells that are farther away.
-
-    Returns:
-        Distances in cells, shape (rows, cols).
-    """
-    row_distances = np.empty(is_occupied.shape, dtype=np.int32)
-    threads.run_in_chunks(
-        kernels.measure_along_columns,
-        is_occupied.shape[1],
-        is_occupied,
-        max_distance,
-        row_distances,
-        min_chunk_size=max(64, threads.LEAST_CELLS // len(is_occupied)),
-    )
-    return row_distances
 
 
 def _find_floor_extremes(

@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from navbake.compiled import kernel
-from navbake.runtime.envelope_kernels import add_parabola
+from navbake.voxels.envelope_kernels import add_parabola
 
 
 @kernel(nogil=True)
