@@ -292,6 +292,7 @@ def explain_by_gap(search: Search, start_cell: int, goal_cells: Int) -> str | No
 
     Returns:
         A clause, such as ``door 'kitchen' is closed for a radius of 0.3 m, and 0.25 m passes``.
+        Of stairs it also says that a link may join their ends.
         None if the grid isn't inflated, or if even an agent of radius 0 can't get to a goal.
     """
     grid = search.grid
@@ -316,12 +317,12 @@ def explain_by_gap(search: Search, start_cell: int, goal_cells: Int) -> str | No
         if np.isin(connection.cells, cells_on_route).any()
     ]
     if lost_connection_names:
-        is_singular = len(lost_connection_names) == 1 and not lost_connection_names[0].startswith(
-            "the stairs"
-        )
+        has_stairs = any(name.startswith("the stairs") for name in lost_connection_names)
+        is_singular = len(lost_connection_names) == 1 and not has_stairs
         names_text = f"{' and '.join(lost_connection_names)} {'is' if is_singular else 'are'}"
         closed_text = f"{names_text} closed for a radius of {agent_radius:g} m"
-        return f"{closed_text}, and {round_down(radius):g} m passes"
+        hint = "; if the agent can climb, a link in `links` joins their ends" if has_stairs else ""
+        return f"{closed_text}, and {round_down(radius):g} m passes{hint}"
     if math.isinf(radius):
         return None
     bottleneck_cell = find_bottleneck(

@@ -188,7 +188,8 @@ def test_inflate_names_the_stairs_that_it_closes_and_path_does_too(inflate, run)
     assert status == 0 and err == f"navbake: warning: {warning}\n"
     ends = "--from", "0,-4.8", "--to", "-2.2,-3.2,L1"
     status, out, _ = run("path", "wide.json", *ends)
-    because = f"{stairs[1]} are closed for a radius of 0.3 m, and 0.25 m passes\n"
+    hint = "if the agent can climb, a link in `links` joins their ends"
+    because = f"{stairs[1]} are closed for a radius of 0.3 m, and 0.25 m passes; {hint}\n"
     assert status == 1 and out.endswith(because) and "gap" not in out
     assert run("path", "house.json.gz", "--radius", 0.3, *ends)[1] == out
     status, _, err = inflate("house.json.gz", "--radius", 0.25, "-o", "wide.json")

@@ -230,6 +230,28 @@ def test_the_distance_between_islands_counts_heights():
     assert "nearest cells are 2.61 m apart" in reason
 
 
+def test_a_link_opens_stairs_that_are_closed_for_a_radius_and_the_reason_says_so(house):
+    start, goal = (0.0, -4.8, 0.0), (-2.2, -3.2, 3.0)
+    robot = navbake.Agent("robot", radius=0.3)
+    reason = PathFinder(house, agent=robot).why_not(start, goal)
+    hint = "; if the agent can climb, a link in `links` joins their ends"
+    assert reason.endswith("are closed for a radius of 0.3 m, and 0.25 m passes" + hint)
+    # from the free floor before the foot of a stair to that behind its head
+    stairs = {"name": "stairs", "kind": "stairs", "stops": [[4.2, -2.5, 0.0], [4.2, 2.4, 3.0]]}
+    linked = navbake.bake(navbake.samples.path("house"), links=[stairs])
+    assert PathFinder(linked, agent=robot).find_path(start, goal).links == ["stairs"]
+    np.testing.assert_array_equal(linked.levels[0].occupancy, house.levels[0].occupancy)
+
+
+def test_a_finder_keeps_its_radius_on_another_grid(house):
+    finder = PathFinder(house, agent=navbake.Agent("robot", radius=0.3))
+    closed = house.with_doors("closed")
+    finder.use(closed)
+    assert (finder.grid.radius, finder.agent.name) == (0.3, "robot")
+    for level, expected in zip(finder.grid.levels, closed.inflate(0.3).levels, strict=True):
+        np.testing.assert_array_equal(level.free, expected.free)
+
+
 def test_steps_that_are_too_high_for_the_agent_are_the_reason(house):
     start, goal = (0.0, -4.8, 0.0), (-2.2, -3.2, 3.0)
     assert PathFinder(house, agent=navbake.Agent("robot", step=0.2)).find_path(start, goal)
