@@ -43,12 +43,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize("name", [*SCENES, "robot.urdf"])
 def test_of_a_scene(name):
     with pytest.raises(SceneError, match=r"cannot read pipe\.\w+: expected a file, got a pipe"):
-        load_scene_file(load_config(name).scene)
+        load_scene_file(load_config(name))
 
 
 def test_of_a_scene_that_is_compiled_apart():
     with pytest.raises(SceneError, match=r"cannot read pipe\.obj: expected a file, got a pipe"):
-        load_scene_file(load_config("mesh.xml").scene, CompileLimits())
+        load_scene_file(load_config("mesh.xml"), CompileLimits())
 
 
 def test_of_settings(folder):
