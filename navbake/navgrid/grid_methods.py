@@ -383,8 +383,8 @@ class GridMethods:
 
         A disc or a box blocks the cells where an agent on the floor would collide with it: where it
         overlaps the cell's square or the disc of `margin` around the cell's centre. Beside the
-        grid, or where it is too high or too low for any agent, it blocks none, as something that
-        moves out of the grid and back may do.
+        grid, or where it is too high or too low for any agent, it blocks no cell. That is no error,
+        as things may leave the grid and come back.
 
         Give exactly one of `cells`, `disc` and `box`.
 

@@ -375,8 +375,8 @@ def stack_levels(
             have cells there.
 
     Returns:
-        The stack, whose arrays may be those of the level; and the rows and columns of the level's
-        own cells in it.
+        The stack, and the rows and columns of the level's own cells in it. Its arrays may be the
+        level's own: they must not be changed.
     """
     level = grid.levels[level_number]
     max_step = step_limit(grid) * grid.unit

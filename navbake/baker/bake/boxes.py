@@ -64,13 +64,13 @@ def find_level_boxes(
     A single level keeps the whole lattice. Its box is the scene's, enlarged where a floor lies
     outside.
 
-    Several levels are each cropped to the cells that have a floor, and to one cell around these. As
-    it has no floor, it is occupied: so the walls around a floor keep larger agents away. A level's
-    box spans the cells that have a floor, without those around them. Only where the scene ends in
-    the outer half of the last of these cells, the box ends there, too. In height, it spans from
-    `BOX_MARGIN` below the level's lowest floor to `BOX_GAP` below the next box above it, or to the
-    scene's top. An agent on the highest floor is inside of the highest level's box. Whether doors
-    are open or closed has no influence on either.
+    Several levels are each cropped to the cells that have a floor, and a ring of one cell around
+    them. The ring has no floor, so its cells count as occupied, and walls there keep larger agents
+    away. A level's box spans the cells that have a floor, without the ring. Only where the scene
+    ends in the outer half of the last of these cells, the box ends there, too. In height, it spans
+    from `BOX_MARGIN` below the level's lowest floor to `BOX_GAP` below the next box above it, or to
+    the scene's top. An agent on the highest floor is inside of the highest level's box. Whether
+    doors are open or closed has no influence on either.
 
     Args:
         levels: the levels on the whole lattice, lowest first.

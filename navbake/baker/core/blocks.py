@@ -179,11 +179,11 @@ class RowsBuilder:
     """
 
     def __init__(self, empty_arrays: Sequence[NDArray[Any]]) -> None:
-        """Begin without rows.
+        """Start with no rows.
 
         Args:
-            empty_arrays: arrays without entries, which have the dtypes, and the shapes after the
-                first axis, of the arrays.
+            empty_arrays: for each array of the rows, an array without entries that has its dtype,
+                and its shape after the first axis.
         """
         self.num_rows = 0
         self._arrays = list(empty_arrays)

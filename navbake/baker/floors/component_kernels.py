@@ -75,10 +75,10 @@ class ComponentNumbering(NamedTuple):
     """The components of surfaces, numbered in each block, and numbered over all blocks.
 
     Attributes:
-        number_in_block: for each surface, a number that its component has in its block alone, -1
-            for no component, int32. Those of a block follow each other, see `label_blocks`.
-        offset_of_block: for each block, what has to be added to these numbers for those over all
-            blocks, int64.
+        number_in_block: for each surface, the number of its component, -1 for none, int32. The
+            numbers of a block are consecutive, and start anywhere, see `label_blocks`.
+        offset_of_block: for each block, what is added to `number_in_block` for `overall_number`,
+            int64.
         overall_number: receives, for each surface, the number of its component over all blocks, -1
             for none, int32.
     """

@@ -35,9 +35,9 @@ MIN_BOTTOM_HEIGHT = 0  # the least height of the geom's lower end over a floor
 # The greatest height of the geom's upper end over its lower end, or over the floor if higher
 MAX_RISE = 1
 
-# Bits of `LevelOccupants.floor_flags`: the geom whose surface is the floor ...
-ON_FLOOR = np.uint8(1)  # lies on the floor of another geom
-COVERING = np.uint8(2)  # only covers the floor of another geom, as a rug does
+# Bits of `LevelOccupants.floor_flags`
+ON_FLOOR = np.uint8(1)  # the geom whose surface is the floor lies on another geom's floor
+COVERING = np.uint8(2)  # that geom only covers another geom's floor, as a rug does
 
 
 class LevelOccupants(NamedTuple):

@@ -221,7 +221,7 @@ class OccupantsBuilder:
         for occupants, level_occupancy in zip(self._levels, occupancy_by_level, strict=True):
             cells = level_occupancy.cells
             lists = level_occupancy.occupant_lists
-            # without a geom, -1, the bits are not read
+            # where no geom is the floor, `floor_geom` is -1, the last entry: these bits aren't read
             is_on_floor = lists.gap_below <= self._max_gap_on_floor[lists.floor_geom]
             is_covering = lists.gap_below <= MAX_COVERING_HEIGHT + LIMIT_SLACK
             occupants.list_start[cells] = lists.list_start + first_entry

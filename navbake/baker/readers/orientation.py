@@ -330,7 +330,7 @@ def find_orientations(sample: TriangleSample) -> tuple[list[Orientation], bool]:
 
 
 def _score(orientation: Orientation) -> float:
-    """Return a number that is the higher, the likelier a direction is up [m²]."""
+    """Return how likely a direction is up; higher is likelier [m²]."""
     return round(orientation.furniture_area + FLOOR_WEIGHT * orientation.floor_area, 3)
 
 

@@ -562,8 +562,8 @@ def _to_fortran_order(array: NDArray[ScalarT]) -> NDArray[ScalarT]:
 def from_scan_order(array: NDArray[ScalarT], direction: WallDirection) -> NDArray[ScalarT]:
     """Turn an array that `both_scan_orders` arranged back into the lattice's rows and columns.
 
-    The array that is returned, a view or a copy, has its rows together in memory. If its columns
-    were together, operations with other arrays would take several times as long as the copy does.
+    The array that is returned is C-contiguous; it may be a view. In Fortran order, operations with
+    other arrays would take several times as long as the copy does.
 
     Args:
         array: an array in a direction's scan order.
