@@ -28,6 +28,7 @@ MAPPINGS_OF_NAMES = (("scene", "joints"), ("scene", "meshes"))
 MAX_REPEATED_VALUES = 100_000  # most values that all aliases of a file together may stand for
 MERGE_KEY = "<<"  # of YAML 1.1; YAML 1.2 has none
 MAX_PROBLEM = 200  # characters of a message of PyYAML, which repeats long tags and names
+LINE_END = re.compile("\r\n|[\r\n\x85\u2028\u2029]")  # where both parsers count a line
 # PyYAML raises these for a value that doesn't fit its explicit tag, such as ``!!bool maybe``
 TAG_ERRORS = (AttributeError, IndexError, KeyError, TypeError, ValueError)
 _TAG = "tag:yaml.org,2002:"
@@ -177,11 +178,13 @@ def parse_yaml(text: str, source: str) -> JsonValue:
         fault = _find_likely_fault(error, text)
         if fault is not None:
             line_index = fault.line_index
-        line = min(line_index, text.rstrip("\n").count("\n")) + 1  # libyaml ends the last line
+        # libyaml ends the last line, and may stop behind it
+        num_lines = len(LINE_END.split(text.rstrip("\r\n\x85\u2028\u2029")))
+        line = min(line_index + 1, num_lines)
         message = f"{problem} in line {line} of {source}"
         if fault is not None:
             message = f"{fault.text} in line {line} of {source} ({problem})"
-        hint = None if fault is None else fault.text
+        hint = None if fault is None else fault.remedy
         raise ConfigError(message, path=source, place=f"line {line}", hint=hint) from error
     except RecursionError as error:
         raise ConfigError(f"{source} is nested too deeply", path=source) from error
@@ -196,10 +199,12 @@ class _Fault(NamedTuple):
     Attributes:
         text: the fault in plain words, before "in line 3".
         line_index: the index of the line in the text.
+        remedy: what to do about it.
     """
 
     text: str
     line_index: int
+    remedy: str
 
 
 def _find_likely_fault(error: yaml.MarkedYAMLError, text: str) -> _Fault | None:
@@ -221,40 +226,102 @@ def _find_likely_fault(error: yaml.MarkedYAMLError, text: str) -> _Fault | None:
     problem = str(error.problem)
     context = str(error.context)
     begin = error.context_mark or mark  # where the mapping, list or text begins
-    lines = text.split("\n")
+    lines = LINE_END.split(text)
     line = lines[mark.line] if mark.line < len(lines) else ""
     text_before = line[: mark.column]
     character = line[mark.column : mark.column + 1]
     if character == "\t" or " tab " in problem:
-        return _Fault("found a tab where YAML wants spaces", mark.line)
+        return _Fault("found a tab where YAML wants spaces", mark.line, "indent it with spaces")
     if "cannot start any token" in problem:
-        return _Fault(f"found text that begins with {character} and needs quotes", mark.line)
+        return _Fault(
+            f"found text that begins with {character} and needs quotes",
+            mark.line,
+            f"text that begins with {character} needs quotes",
+        )
     if "undefined alias" in problem:
-        return _Fault("found text that begins with * and needs quotes", mark.line)
+        return _Fault(
+            "found text that begins with * and needs quotes",
+            mark.line,
+            "text that begins with * needs quotes",
+        )
     if "unknown escape character" in problem:
-        return _Fault("found a backslash in double quotes, in place of single ones,", mark.line)
+        return _Fault(
+            "found a backslash in double quotes, in place of single ones,",
+            mark.line,
+            "text with a backslash needs single quotes",
+        )
     if "end of stream" in problem and "quoted" in context:
-        return _Fault("found a quote that is never closed", begin.line)
+        return _Fault("found a quote that is never closed", begin.line, "close the quote")
     if "could not find expected ':'" in problem:
-        return _Fault("found a key without a colon and a space after it", begin.line)
+        return _Fault(
+            "found a key without a colon and a space after it",
+            begin.line,
+            "write a colon and a space after the key",
+        )
     if "mapping values are not allowed" in problem:
-        if ": " in text_before:
-            return _Fault("found a second colon, of text that needs quotes,", mark.line)
-        if mark.line and ":" not in lines[mark.line - 1]:
-            return _Fault("found a key without a colon after it", mark.line - 1)
-        return _Fault("found a key indented deeper than the keys above it", mark.line)
+        return _find_fault_at_colon(lines, mark.line, mark.column)
     if "flow" in context and "expected ','" in problem:
         bracket = "{" if "mapping" in context else "["
         return _Fault(
-            f"found a {bracket} that is not closed, or no comma behind a value,", begin.line
+            f"found a {bracket} that is not closed, or no comma behind a value,",
+            begin.line,
+            f"close the {bracket}, and put commas between the values",
         )
     if "parsing a block" in context or "document start" in problem:
+        if character and character in "}]":
+            return _Fault(
+                f"found a {character} without its opening bracket",
+                mark.line,
+                f"remove the {character}, or open its bracket",
+            )
         if text_before.strip():
-            return _Fault("found text behind a value that ends before it", mark.line)
+            return _Fault(
+                "found text behind a value that ends before it",
+                mark.line,
+                "put the value and the text into the same quotes, or remove the text",
+            )
         if error.context_mark is not None and begin.column == mark.column:
-            return _Fault("found a key among list items, or a list item among keys,", mark.line)
-        return _Fault("found an indentation that fits no line above", mark.line)
+            return _Fault(
+                "found a key among list items, or a list item among keys,",
+                mark.line,
+                "indent it below the item or the key that it belongs to",
+            )
+        return _Fault(
+            "found an indentation that fits no line above",
+            mark.line,
+            "indent it as the lines that it belongs to",
+        )
     return None
+
+
+def _find_fault_at_colon(lines: Sequence[str], line_index: int, column: int) -> _Fault:
+    """Find what is likely wrong where a parser refuses a colon.
+
+    Args:
+        lines: the lines of the text.
+        line_index: the index of the line with the colon.
+        column: the colon's index in its line.
+    """
+    if ": " in lines[line_index][:column]:
+        return _Fault(
+            "found a second colon, of text that needs quotes,",
+            line_index,
+            "text with a colon and a space needs quotes",
+        )
+    # the parser took the line above for the beginning of a text of several lines; such a text may
+    # have blank lines
+    index_above = line_index - 1
+    while index_above > 0 and not lines[index_above].strip():
+        index_above -= 1
+    if index_above >= 0 and ":" not in lines[index_above]:
+        return _Fault(
+            "found a key without a colon after it", index_above, "write a colon after the key"
+        )
+    return _Fault(
+        "found a key indented deeper than the keys above it",
+        line_index,
+        "indent the key as the keys above it",
+    )
 
 
 def apply_overrides(settings: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:

@@ -69,7 +69,7 @@ def test_a_missing_setting(tmp_path):
 def test_a_line_that_is_no_yaml(tmp_path):
     error = config_error(tmp_path, "scene: {path: a.xml}\nrooms: {geoms: *hall}")
     assert error.place == "line 2"
-    assert error.hint == "found text that begins with * and needs quotes"
+    assert error.hint == "text that begins with * needs quotes"
 
 
 def test_a_keyword_over_the_settings(tmp_path):

@@ -94,6 +94,13 @@ FAULTS = {
     "names: @a": ("text that begins with @ and needs quotes", 1),
     "names: `a`": ("text that begins with ` and needs quotes", 1),
     "geoms: *wall": ("text that begins with * and needs quotes", 1),
+    "key\r\rb: 1": ("a key without a colon after it", 1),
+    "a: b\r\rc: d: e": ("a second colon, of text that needs quotes,", 3),
+    "a: b\r\n\x85c: d: e\u2028f: 1": ("a second colon, of text that needs quotes,", 3),
+    "a: b\n\n\n  c: d\n": ("a key indented deeper than the keys above it", 4),
+    "scene:\n  path\n\n  id: b": ("a key without a colon after it", 2),
+    "a: 1\n}\n": ("a } without its opening bracket", 2),
+    "a: [1]]": ("a ] without its opening bracket", 1),
     "links:\n  - name: a\n  kind: b": ("a key among list items, or a list item among keys,", 3),
 }
 
@@ -113,6 +120,7 @@ def test_faults_are_told_in_plain_words(text, parser, monkeypatch):
     with pytest.raises(ConfigError, match=f"^{told}") as caught:
         parse(text, "house.yaml")
     assert caught.value.place == f"line {line}"
+    assert caught.value.hint and caught.value.hint not in caught.value.args[0]  # what to do
 
 
 def test_aliases_and_quoted_signs_are_read():
