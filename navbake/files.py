@@ -19,6 +19,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from itertools import islice
 from os import PathLike
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -36,6 +37,7 @@ LOG = logging.getLogger("navbake")
 TEMPORARY_NAME = re.compile(r"\.navbake-[0-9a-f]{16}\.tmp|navbake-scratch-\w{8}")
 # where there are no locks, an older temporary file is a leftover: no write takes a day [s]
 LEFTOVER_AGE = 86400.0
+MAX_HINT_NAMES = 2000  # most names of a folder that a hint compares, one after the other
 cleaned_folders: set[Path] = set()  # folders from which this process has removed leftovers
 
 
@@ -268,7 +270,7 @@ def can_be_path(text: str) -> bool:
 
 
 def hint_at_file(path: str | PathLike[str], suffixes: Iterable[str]) -> str:
-    """Write a hint for a path without a file, such as ``: did you mean scenes/house.xml?``.
+    """Write a hint for a path without a file, such as ``did you mean scenes/house.xml?``.
 
     Args:
         path: The path that a user wrote.
@@ -276,12 +278,15 @@ def hint_at_file(path: str | PathLike[str], suffixes: Iterable[str]) -> str:
 
     Returns:
         The hint at the file of the same folder whose name is the most similar, or is the same but
-        for the ending; "" if there is none.
+        for the ending; "" if there is none, or if the folder has more than `MAX_HINT_NAMES` names.
     """
     missing_path = Path(path)
     try:
-        file_names = sorted(os.listdir(missing_path.parent))
+        with os.scandir(missing_path.parent) as entries:
+            file_names = sorted(entry.name for entry in islice(entries, MAX_HINT_NAMES + 1))
     except (OSError, ValueError):  # ValueError: a path with NUL
+        return ""
+    if len(file_names) > MAX_HINT_NAMES:
         return ""
     candidates = [
         name
@@ -291,7 +296,7 @@ def hint_at_file(path: str | PathLike[str], suffixes: Iterable[str]) -> str:
     stem = missing_path.name.partition(".")[0]
     near_names = find_similar_names(missing_path.name, candidates)
     near_names += [name for name in candidates if name.partition(".")[0] == stem]
-    return f": did you mean {missing_path.parent / near_names[0]}?" if near_names else ""
+    return f"did you mean {missing_path.parent / near_names[0]}?" if near_names else ""
 
 
 def check_regular(path: str | PathLike[str]) -> None:

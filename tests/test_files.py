@@ -417,3 +417,13 @@ def test_where_no_folder_takes_temporary_files_one_line_says_what_to_do(place, m
     monkeypatch.setattr("tempfile.gettempdir", refuse_all)
     with pytest.raises(NavbakeError, match=r"No usable .*: free space, or set"), scratch_folder():
         pytest.fail("there is none")
+
+
+def test_no_hint_compares_the_names_of_a_very_full_folder(tmp_path):
+    for number in range(files.MAX_HINT_NAMES - 1):
+        (tmp_path / f"{number}.txt").touch()
+    (tmp_path / "house.xml").touch()
+    missing_path = tmp_path / "hoose.xml"
+    assert files.hint_at_file(missing_path, [".xml"]) == f"did you mean {tmp_path / 'house.xml'}?"
+    (tmp_path / "one more.txt").touch()
+    assert files.hint_at_file(missing_path, [".xml"]) == ""

@@ -20,7 +20,14 @@ from navbake.batch import store
 from navbake.batch.products import PRODUCT_FILE_PATTERN
 from navbake.config.field_types import find_unknown_key, show_value
 from navbake.config.keywords import overlay_settings
-from navbake.config.settings import SECTIONS, YAML_SUFFIXES, BakeConfig, is_settings, parse_config
+from navbake.config.settings import (
+    SECTIONS,
+    YAML_SUFFIXES,
+    BakeConfig,
+    find_scene_path,
+    is_settings,
+    parse_config,
+)
 from navbake.errors import ConfigError, shorten
 from navbake.formats.scene_files import SCENE_SUFFIXES
 from navbake.formats.source import import_extra, unpack
@@ -204,11 +211,14 @@ def _list_scenes_of(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
     shown_source = store.without_secrets(source)
     is_pattern = glob.has_magic(shown_source) and not os.path.exists(source)
     if not store.is_url(source) and not is_pattern and not os.path.exists(source):
-        sample_path = str(samples.find(source))
         hint = files.hint_at_file(source, (*YAML_SUFFIXES, *SCENE_SUFFIXES, *LIST_SUFFIXES))
-        if sample_path != source:
-            hint = f"; the settings of that name are {sample_path}"
-        raise ConfigError(f"{EXPECTED_SCENE_TEXT} {source}: there is no such file{hint}")
+        sample_path = str(samples.find(source))
+        if not hint and sample_path != source:
+            hint = f"the settings of the sample are {sample_path}"
+        message = f"{EXPECTED_SCENE_TEXT} {source}: there is no such file"
+        if hint:
+            message += f": {hint}"
+        raise ConfigError(message, hint=hint or None)
     if _list_ending(shown_source) in LIST_SUFFIXES:
         yield from _read_list(source, columns)
     elif source.endswith("/") or os.path.isdir(source):
@@ -557,11 +567,14 @@ def merge_settings(
     settings = dict(make_id_settings(job.id))
     for overriding_settings in (shared_settings, scene_settings, job.settings):
         settings = overlay_settings(settings, overriding_settings, place)
+    is_path_of_file = is_settings(job.source) and (
+        find_scene_path(settings) == find_scene_path(scene_settings)
+    )
     settings = _replace_paths(settings, lambda name: str(fetch(name)))
     if outlines_path:  # quoted as in JSON, any path is valid YAML
         quoted_path = json.dumps(str(fetch(outlines_path)), ensure_ascii=False)
         overrides = [*overrides, f"rooms.polygons={quoted_path}"]
-    settings_file = job.source if is_settings(job.source) else ""
+    settings_file = job.source if is_path_of_file else ""
     return parse_config(settings, place, overrides, settings_file=settings_file)
 
 

@@ -18,6 +18,7 @@ from navbake.config.settings import (
     SECTIONS,
     BakeConfig,
     as_config,
+    find_scene_path,
     find_source,
     is_settings,
     make_default_settings,
@@ -136,8 +137,11 @@ def add_keywords_to_config(config: object, keywords: Mapping[str, Any]) -> BakeC
             folder = path.parent
             if not isinstance(settings, Mapping):
                 return as_config(path)  # raises the error
+    merged_settings = overlay_settings(settings, _check_keywords(keywords), source_text)
+    if find_scene_path(merged_settings) != find_scene_path(settings):
+        settings_file = ""
     return parse_config(
-        overlay_settings(settings, _check_keywords(keywords), source_text),
+        merged_settings,
         source_text,
         folder=folder,
         settings_file=settings_file,

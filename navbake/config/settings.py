@@ -480,7 +480,7 @@ class BakeConfig(Settings):
 
     @property
     def settings_file(self) -> str:
-        """The YAML file that the settings were read from, for messages; "" for none."""
+        """The YAML file that `scene.path` was read from, for messages; "" for none."""
         return self._settings_file
 
     def __eq__(self, other: object) -> bool:
@@ -551,7 +551,10 @@ def read_settings(path: Path) -> JsonValue:
     """
     if not os.path.lexists(path):
         hint = hint_at_file(path, (*YAML_SUFFIXES, *SCENE_SUFFIXES))
-        raise ConfigError(f"no such file: {path}{hint}", path=str(path), hint=hint or None)
+        message = f"no such file: {path}"
+        if hint:
+            message += f": {hint}"
+        raise ConfigError(message, path=str(path), hint=hint or None)
     return read_yaml(path)
 
 
@@ -570,7 +573,7 @@ def parse_config(
         source: Name of the file that the settings come from, for messages.
         overrides: Texts ``a.b=value``, each of which replaces a setting.
         folder: The folder that `scene.path` and other paths are relative to.
-        settings_file: The YAML file that the settings come from, "" for none.
+        settings_file: The YAML file that the settings' `scene.path` comes from, "" for none.
 
     Raises:
         ConfigError: A setting is wrong.
@@ -592,7 +595,10 @@ def parse_config(
             hint=hint,
         )
     # null is a section's defaults, so that a file without `scene` lacks `scene.path`
-    settings = {"scene": None, **apply_overrides(settings, overrides)}
+    overridden_settings = apply_overrides(settings, overrides)
+    if find_scene_path(overridden_settings) != find_scene_path(settings):
+        settings_file = ""
+    settings = {"scene": None, **overridden_settings}
     context: dict[str, Any] = {"folder": folder, "inputs": []}
     try:
         config = BakeConfig.model_validate(settings, context=context)
@@ -601,6 +607,12 @@ def parse_config(
     config._input_files = tuple(context["inputs"])
     config._settings_file = settings_file
     return config
+
+
+def find_scene_path(settings: Mapping[str, Any]) -> object:
+    """Return `scene.path` of settings that aren't validated; None if they have none."""
+    scene_settings = settings.get("scene")
+    return scene_settings.get("path") if isinstance(scene_settings, Mapping) else None
 
 
 def as_config(config: BakeConfig | str | PathLike[str] | Mapping[str, Any]) -> BakeConfig:

@@ -113,7 +113,10 @@ def make_template(scene: Path, folder: Path) -> tuple[str, str]:
     scene_id = load_config(scene).scene.id
     if not os.path.isfile(scene):
         hint = hint_at_file(scene, SCENE_SUFFIXES)
-        raise SceneError(f"no such file: {scene}{hint}", path=str(scene), hint=hint or None)
+        message = f"no such file: {scene}"
+        if hint:
+            message += f": {hint}"
+        raise SceneError(message, path=str(scene), hint=hint or None)
     scene = scene.resolve()
     with contextlib.suppress(ValueError):  # Windows has no relative path to another drive
         scene = Path(os.path.relpath(scene, folder.resolve()))

@@ -17,8 +17,9 @@ import re
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
+import msgspec
 import numpy as np
 import orjson
 from numpy.typing import NDArray
@@ -47,16 +48,10 @@ from navbake.formats.source import (
     read_navgrid_text,
     write_files,
 )
-from navbake.lazy import lazy
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import LEAST_EDGE, MAX_COORDINATE
 from navbake.navgrid.user_data import SharedEntries, UserData, without_garbage_collection
 from navbake.types import Json, JsonValue
-
-if TYPE_CHECKING:
-    import msgspec
-else:
-    msgspec = lazy("msgspec")
 
 LOG = logging.getLogger("navbake.formats")
 
@@ -71,7 +66,7 @@ MULTI_LEVEL_GRID_FIELDS = ("type", "metadata", "cellSize", "unit", "grids", "tim
 # attributes of a grid that hold parsed tables of its metadata
 LINK_TABLES = ("step_array", "links")
 METADATA_TABLES = (*LINK_TABLES, "areas", "agents", "doors", "stated_rooms")
-SPLIT_BYTES = 1 << 20  # smaller files are parsed at once, without msgspec
+SPLIT_BYTES = 1 << 20  # smaller files are parsed at once, user data and all
 CELLS_AT_ONCE = 1 << 16  # cells whose user data are encoded at once, to limit memory
 
 

@@ -267,7 +267,8 @@ def parse_json(content: bytes | memoryview, place: JsonPath) -> JsonValue:
         text_at_fault = error.doc[error.pos : error.pos + 9].lstrip("-")
         is_constant = text_at_fault[:3] in ("NaN", "Inf")
         hint = "NaN and Infinity are no JSON, write null" if is_constant else None
-        if error.pos >= len(error.doc):
+        # orjson gives no text of what is not UTF-8
+        if error.doc and error.pos >= len(error.doc):
             hint = INCOMPLETE_HINT
         file = f"`{place.path}` of {place.file}" if place.path else place.file
         place_text = f"line {error.lineno}, column {error.colno}"

@@ -325,3 +325,23 @@ def test_texts_that_no_file_can_be_named_are_refused(folder, suffix, path):
         return
     with pytest.raises(ConfigError, match=r"expected a path, got '.*b\.xml' at .*list\..*, line"):
         list_jobs([str(folder / f"list{suffix}")])
+
+
+def test_settings_are_named_only_for_a_scene_that_they_name(folder):
+    (folder / "room.yaml").write_text("scene: {path: a/hall.xml}")
+
+    def settings_file(row_settings, overrides=()):
+        job = Job("room", "room.yaml", row_settings, "room.yaml")
+        return merge_settings(job, {}, overrides, Path).settings_file
+
+    assert settings_file({"agent": {"radius": 0.2}}) == "room.yaml"
+    assert settings_file({"scene": {"path": "nix.xml"}}) == ""
+    assert settings_file({}, ["scene.path=nix.xml"]) == ""
+
+
+def test_a_near_file_is_offered_before_a_sample(folder):
+    with pytest.raises(ConfigError, match=r"no such file: the settings of the sample are .*house"):
+        list_jobs(["house"])
+    (folder / "house.xml").write_text("<mujoco/>")
+    with pytest.raises(ConfigError, match=r"there is no such file: did you mean house\.xml\?$"):
+        list_jobs(["house"])

@@ -39,6 +39,7 @@ CASES = [
     ("bake romo.xml", 1, "no scene file at romo.xml: did you mean room.xml?"),
     ("init romo.xml", 1, "no such file: romo.xml: did you mean room.xml?"),
     ("batch romo.xml -o out", 1, "there is no such file: did you mean room.xml?"),
+    ("batch apartment -o out", 1, "such file: the settings of the sample are "),
     ("bake houze", 1, "no scene file at houze: did you mean the sample 'house'?"),
     ("score runs.jsonl set.jsonl", 1, "runs.jsonl has trajectories, not episodes: the set comes"),
     ("convert saver.yaml saver.xml", 1, "got saver.xml, which comes with saver.yaml: choose"),

@@ -361,6 +361,9 @@ def test_refuses_files_that_cannot_be_read(tmp_path):
     (tmp_path / "nine.png").touch()
     hint = "no such file: nine.yaml: did you mean nine.xml?"
     assert message(tmp_path / "nine.yaml") == hint.replace("nine.xml", str(tmp_path / "nine.xml"))
+    with pytest.raises(ConfigError) as caught:
+        load_config(tmp_path / "nine.yaml")
+    assert caught.value.hint == f"did you mean {tmp_path / 'nine.xml'}?"
     (tmp_path / "folder.yaml").mkdir()
     assert "cannot read folder.yaml" in message(tmp_path / "folder.yaml")
     (tmp_path / "latin.yaml").write_bytes(b"scene: {id: caf\xe9}")

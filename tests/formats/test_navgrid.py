@@ -354,7 +354,7 @@ BAD_FILES = {
         "unexpected end of data; the file is incomplete: copy it again, or make it anew$",
     ),
     "trailing": (json.dumps(small()).encode() + b"}", "broken JSON"),
-    "invalid UTF-8": (b'{"type": "\xff\xfe"}', "line 1, column .*UTF-8"),
+    "invalid UTF-8": (b'{"type": "\xff\xfe"}', "line 1, column .*UTF-8(?!.*incomplete)"),
     "NaN": (b'{"width": NaN}', "column 11: .*write null"),
     "Infinity": (b'{"width": Infinity}', "write null"),
     "-Infinity": (b'{"width": -Infinity}', "broken JSON"),

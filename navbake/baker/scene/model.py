@@ -164,6 +164,8 @@ def load_model(settings: SceneSettings, warnings: list[str]) -> SceneModel:
     named_leaves = frozenset[str]()
     suffix = scene_suffix(path)
     try:
+        if not path.exists():
+            raise SceneError(f"no scene file at {path}", path=str(path), key="scene.path")
         if not path.is_file():
             path_type = "folder" if path.is_dir() else "device"
             raise SceneError(f"expected a scene file, got a {path_type} at {path}")

@@ -312,14 +312,13 @@ def _check_scene_exists(config: BakeConfig) -> None:
     hint = hint_at_file(path, SCENE_SUFFIXES)
     near_samples = find_similar_names(path, samples.names())
     if not hint and near_samples:
-        hint = f": did you mean the sample {near_samples[0]!r}?"
-    named_text = f" (`scene.path` in {config.settings_file})" if config.settings_file else ""
-    raise SceneError(
-        f"no scene file at {path}{named_text}{hint}",
-        path=str(path),
-        key="scene.path",
-        hint=hint.removeprefix(": ") or None,
-    )
+        hint = f"did you mean the sample {near_samples[0]!r}?"
+    message = f"no scene file at {path}"
+    if config.settings_file:
+        message += f" (`scene.path` in {config.settings_file})"
+    if hint:
+        message += f": {hint}"
+    raise SceneError(message, path=str(path), key="scene.path", hint=hint or None)
 
 
 def _count_geoms(

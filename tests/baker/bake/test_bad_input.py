@@ -15,8 +15,9 @@ import trimesh
 
 import navbake
 from navbake.baker.bake.pipeline import run_bake
+from navbake.baker.scene.model import load_model
 from navbake.cli.main import main
-from navbake.config.settings import parse_config
+from navbake.config.settings import SceneSettings, load_config, parse_config
 from navbake.errors import ConfigError, NavbakeError, SceneError
 from project_paths import ROOT
 
@@ -109,6 +110,24 @@ def test_the_settings_and_a_near_file_are_named_for_a_scene_that_is_missing(fail
     assert "no scene file at scenes/twins.obj: did you mean scenes/twins.xml?" in fails(
         "scenes/twins.obj"
     )
+
+
+def test_settings_are_named_only_for_a_scene_that_they_name(fails):
+    write("room.yaml", "scene: {path: room.xml}")
+    write("room.xml", ROOM)
+    told = "no scene file at nix.xml"
+    assert fails("room.yaml", "--set", "scene.path=nix.xml") == f"navbake: {told}\n"
+    for bake in (
+        lambda: navbake.bake("room.yaml", scene={"path": "nix.xml"}),
+        lambda: navbake.bake(load_config("room.yaml", ["scene.path=nix.xml"])),
+    ):
+        with pytest.raises(SceneError, match=f"^{told}$"):
+            bake()
+
+
+def test_a_scene_that_went_missing_is_no_device(folder):
+    with pytest.raises(SceneError, match=r"^no scene file at none\.xml$"):
+        load_model(SceneSettings(path="none.xml"), [])
 
 
 def test_a_name_that_is_too_long(fails):
