@@ -73,7 +73,6 @@ CELLS_AT_ONCE = 1 << 16  # cells whose user data are encoded at once, to limit m
 # ---------------------------------------------------------------- reading
 
 
-@without_garbage_collection()
 def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
     """Read a NavGrid file, plain or gzipped (detected by its content).
 
@@ -104,18 +103,20 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
         (117, 126)
     """
     text, num_bytes, root_place = read_navgrid_text(source)
-    content = _parse_file(text, root_place)
-    allowance = Allowance(num_bytes, "max_cells", max_cells)
-    grid_type = content.get("type", ABSENT)
-    if grid_type == "MultiLevelGrid":
+    # not while the file is read, which may be a slow stream
+    with without_garbage_collection():
+        content = _parse_file(text, root_place)
+        allowance = Allowance(num_bytes, "max_cells", max_cells)
+        grid_type = content.get("type", ABSENT)
+        if grid_type == "MultiLevelGrid":
+            return warn_of_newer_version(
+                read_multi_level_grid(content, root_place, allowance), root_place
+            )
+        if grid_type != "SceneGrid2D":
+            root_place["type"].refuse("'SceneGrid2D' or 'MultiLevelGrid'", grid_type)
         return warn_of_newer_version(
-            read_multi_level_grid(content, root_place, allowance), root_place
+            check_grid(read_level(content, root_place, allowance), root_place), root_place
         )
-    if grid_type != "SceneGrid2D":
-        root_place["type"].refuse("'SceneGrid2D' or 'MultiLevelGrid'", grid_type)
-    return warn_of_newer_version(
-        check_grid(read_level(content, root_place, allowance), root_place), root_place
-    )
 
 
 def _parse_file(content: bytes, root_place: JsonPath) -> Json:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import gc
 import re
+import threading
 from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import contextmanager
 from itertools import compress
@@ -28,16 +29,49 @@ NAME_KEYS = ("doors", "objects", "walls")  # keys of a cell's user data that lis
 REVERSED_COUNTER = re.compile(r"[\W_]*\d[\d\W_]*")
 
 
+class CollectorPauses:
+    """The pauses of the garbage collector that threads have begun and not ended.
+
+    The collector is one for all threads: the first pause disables it, and the end of the last one
+    restores it.
+    """
+
+    def __init__(self) -> None:
+        """Begin without pauses."""
+        self._lock = threading.Lock()
+        self._num_pauses = 0
+        self._was_enabled = False
+
+    def begin(self) -> None:
+        """Disable the collector, if no pause has done so."""
+        with self._lock:
+            if self._num_pauses == 0:
+                self._was_enabled = gc.isenabled()
+                gc.disable()
+            self._num_pauses += 1
+
+    def end(self) -> None:
+        """Enable the collector if this was the last pause, and if it was enabled before."""
+        with self._lock:
+            self._num_pauses -= 1
+            if self._num_pauses == 0 and self._was_enabled:
+                gc.enable()
+
+
+COLLECTOR_PAUSES = CollectorPauses()
+
+
 @contextmanager
 def without_garbage_collection() -> Iterator[None]:
-    """Pause the garbage collector while many objects are made: it would scan them repeatedly."""
-    was_enabled = gc.isenabled()
-    gc.disable()
+    """Pause the garbage collector while many objects are made: it would scan them repeatedly.
+
+    Other threads may do so at the same time.
+    """
+    COLLECTOR_PAUSES.begin()
     try:
         yield
     finally:
-        if was_enabled:
-            gc.enable()
+        COLLECTOR_PAUSES.end()
 
 
 class SharedEntries(NamedTuple):
@@ -88,7 +122,7 @@ class UserData(MutableMapping[int, Json]):
         if not isinstance(source, SharedEntries):
             return source
         with without_garbage_collection():
-            entries = [_copy_json(source.entries[number]) for number in source.entry_index.tolist()]
+            entries = [copy_json(source.entries[number]) for number in source.entry_index.tolist()]
             entry_by_cell: MutableMapping[int, Json] = dict(
                 zip(source.cells.tolist(), entries, strict=True)
             )
@@ -178,6 +212,20 @@ class UserData(MutableMapping[int, Json]):
         )
 
 
+def copy_json(value: JsonValue) -> JsonValue:
+    """Copy parsed JSON with all that it contains, faster than `copy.deepcopy`.
+
+    Args:
+        value: The value, without cycles.
+
+    Returns:
+        The copy; its dictionaries and lists are new objects.
+    """
+    if isinstance(value, dict):
+        return {key: copy_json(part) for key, part in value.items()}
+    return [copy_json(part) for part in value] if isinstance(value, list) else value
+
+
 def names_in(entry: Json, key: str) -> list[str]:
     """Return the names under a key of a cell's user data.
 
@@ -211,10 +259,3 @@ def find_category(name: str) -> str:
     counter_match = REVERSED_COUNTER.match(name[::-1])
     name_without_counter = name[: len(name) - (counter_match.end() if counter_match else 0)]
     return name_without_counter.lower() or name.lower()
-
-
-def _copy_json(value: JsonValue) -> JsonValue:
-    """Copy parsed JSON with all that it contains, faster than `copy.deepcopy`."""
-    if isinstance(value, dict):
-        return {key: _copy_json(part) for key, part in value.items()}
-    return [_copy_json(part) for part in value] if isinstance(value, list) else value

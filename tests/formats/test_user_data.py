@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import copy
+import gc
 import gzip
+import io
 import json
 import pickle
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +20,7 @@ from navbake.errors import FormatError
 from navbake.formats import navgrid as reader
 from navbake.formats.navgrid import dumps_navgrid, read_navgrid
 from navbake.navgrid.grid import SceneGrid2D
-from navbake.navgrid.user_data import SharedEntries, UserData
+from navbake.navgrid.user_data import SharedEntries, UserData, without_garbage_collection
 
 WALLS = {"walls": ["wall_x_0", "wall_y_0"], "doors": ["d"]}
 
@@ -227,3 +230,50 @@ def test_user_data_are_a_mapping():
     own = {1: {"a": 1}}
     UserData.of(own)[2] = {"b": 2}
     assert own == {1: {"a": 1}, 2: {"b": 2}}
+
+
+@pytest.mark.parametrize("first_out", ["first", "second"])
+def test_garbage_is_collected_again_when_the_last_of_two_threads_has_parsed(first_out):
+    """Each of the threads would restore what it met, and the second one meets a pause."""
+    entered = {"first": threading.Event(), "second": threading.Event()}
+    leave = {"first": threading.Event(), "second": threading.Event()}
+
+    def parse(name):
+        with without_garbage_collection():
+            entered[name].set()
+            leave[name].wait(10)
+
+    threads = {name: threading.Thread(target=parse, args=[name]) for name in entered}
+    for name in ("first", "second"):
+        threads[name].start()
+        assert entered[name].wait(10)
+        assert not gc.isenabled()
+    last_out = "second" if first_out == "first" else "first"
+    leave[first_out].set()
+    threads[first_out].join()
+    assert not gc.isenabled()
+    leave[last_out].set()
+    threads[last_out].join()
+    assert gc.isenabled()
+
+
+def test_a_disabled_collector_stays_disabled():
+    gc.disable()
+    try:
+        read_navgrid(orjson.dumps(level()))
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+
+
+def test_garbage_is_collected_while_a_stream_is_read():
+    class Stream(io.BytesIO):
+        states = []  # noqa: RUF012
+
+        def read(self, *args):
+            self.states.append(gc.isenabled())
+            return super().read(*args)
+
+    read_navgrid(Stream(orjson.dumps(level())))
+    assert Stream.states
+    assert all(Stream.states)

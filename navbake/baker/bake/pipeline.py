@@ -30,7 +30,7 @@ from navbake.navgrid.door_states import with_door_names
 from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
 from navbake.navgrid.islands import add_layers
 from navbake.navgrid.links import Agent, Link, Stop
-from navbake.navgrid.user_data import UserData
+from navbake.navgrid.user_data import UserData, copy_json
 from navbake.threads import baking, limit_threads
 from navbake.types import Bool, Json
 
@@ -327,7 +327,10 @@ def _build_level_grid(
 def _make_metadata(
     config: BakeConfig, baked_structure: BakedStructure, baked_pose: BakedPose
 ) -> Json:
-    """Make the metadata of a grid: the format's own keys, and navbake's under ``navbake``."""
+    """Make the metadata of a grid: the format's own keys, and navbake's under ``navbake``.
+
+    They are copies: users may change them, and the grids of later updates use the same values.
+    """
     agent = config.agent
     agents = {
         name: Agent(name, **settings.model_dump()).to_json()
@@ -337,7 +340,7 @@ def _make_metadata(
         "version": __version__,
         "mujoco": mujoco_version(),
         "sceneDigest": baked_pose.scene.digest,
-        **baked_structure.settings_metadata,
+        **copy_json(baked_structure.settings_metadata),
         "worldFrame": {
             "up": "z",
             "unit": "m",
@@ -349,17 +352,20 @@ def _make_metadata(
             {"name": level.name, "ground": rounded_ground(level)}
             for level in baked_structure.floors.levels
         ],
-        "links": [*baked_structure.steps, *_named_links_to_json(baked_structure, baked_pose)],
+        "links": [
+            *map(list, baked_structure.steps),
+            *_named_links_to_json(baked_structure, baked_pose),
+        ],
     }
     if baked_pose.areas.table:
-        navbake_metadata["areas"] = baked_pose.areas.table
+        navbake_metadata["areas"] = copy_json(baked_pose.areas.table)
     if agents:
         navbake_metadata["agents"] = agents
     navbake_metadata["names"] = config.names.enabled
     if baked_structure.occupants is not None and config.names.enabled:
-        navbake_metadata["boxes"] = baked_pose.name_boxes
-    navbake_metadata["rooms"] = baked_pose.room_table
-    navbake_metadata["doors"] = [grid_door.entry for grid_door in baked_pose.grid_doors]
+        navbake_metadata["boxes"] = {name: list(box) for name, box in baked_pose.name_boxes.items()}
+    navbake_metadata["rooms"] = copy_json(baked_pose.room_table)
+    navbake_metadata["doors"] = [copy_json(grid_door.entry) for grid_door in baked_pose.grid_doors]
     bake_warnings = collect_warnings(config, baked_structure, baked_pose)
     if bake_warnings:
         navbake_metadata["warnings"] = bake_warnings

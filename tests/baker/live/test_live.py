@@ -124,6 +124,21 @@ def test_a_snapshot_stays_as_it_was():
     assert dict(first.user_data) == dict(names)
 
 
+def test_changes_of_a_snapshot_do_not_reach_the_next_one():
+    areas = [{"name": "slow", "cost": 2.0, "polygon": [[1, 1], [2, 1], [2, 2]]}]
+    baker = open_room(areas=areas)
+    navbake_metadata = baker.grid.navbake
+    for box in navbake_metadata["boxes"].values():
+        box.append("mine")
+    navbake_metadata["rooms"][0]["name"] = "mine"
+    navbake_metadata["areas"][0]["name"] = "mine"
+    navbake_metadata["settings"]["scene"]["id"] = "mine"
+    changes = baker.update(bodies={"person": [2.5, 1.0, 0.6]})
+    assert changes.reason == ""
+    assert "mine" not in str(changes.grid.navbake)
+    assert changes.grid.navbake == fresh(baker, areas=areas).navbake
+
+
 def test_readers_see_whole_grids_while_one_writes():
     baker = open_room()
     known = [baker.grid]
