@@ -28,6 +28,9 @@ LEAST_BLOCKS = LEAST_CELLS // BLOCK**2
 CAPACITY_GROWTH = 8
 # Arrays of a `RowsBuilder` that are too small are replaced by some of the expected size times this
 SPARE_FACTOR = 1.1
+# They have room for at most this many times as many rows as there are by then: address space may be
+# limited, and the remaining cells may have few rows
+MAX_GROWTH = 4.0
 
 
 class Blocks:
@@ -171,8 +174,9 @@ class RowsBuilder:
     """Collects rows of numbers that a stage lists for one part of a lattice after the other.
 
     A row of numbers is spread over several arrays: it has an entry in each of them. So that most
-    rows are copied only once, there is room for the rows that the remaining cells will have, if
-    they have as many as the cells before them. Memory that no row is written into takes none.
+    rows are copied only a few times, there is room for the rows that the remaining cells will have,
+    if they have as many as the cells before them; but at most for `MAX_GROWTH` times as many rows
+    as there are. Memory that no row is written into takes none.
 
     Attributes:
         num_rows: how many rows have been appended.
@@ -199,7 +203,7 @@ class RowsBuilder:
         end_row = self.num_rows + sum(len(arrays[0]) for arrays in pieces)
         if end_row > len(self._arrays[0]):
             spare_factor = SPARE_FACTOR if appended_fraction < 1.0 else 1.0
-            capacity = int(end_row * spare_factor / appended_fraction)
+            capacity = int(end_row * min(spare_factor / appended_fraction, MAX_GROWTH))
             for index, array in enumerate(self._arrays):
                 self._arrays[index] = np.empty((capacity, *array.shape[1:]), array.dtype)
                 self._arrays[index][: self.num_rows] = array[: self.num_rows]

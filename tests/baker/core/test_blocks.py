@@ -265,6 +265,15 @@ def test_rows_of_chunks_are_appended_one_after_the_other(rows_by_chunk):
         np.testing.assert_array_equal(array, np.concatenate(arrays))
 
 
+def test_room_for_rows_is_bounded_where_the_first_cells_have_all_of_them():
+    """Reserved memory counts where the address space of a process is limited."""
+    builder = RowsBuilder([np.empty(0, dtype=np.int32)])
+    builder.append([[np.arange(1000, dtype=np.int32)]], 1 / 64)
+    assert builder.build()[0].base.size <= 4000
+    builder.append([[np.arange(10, dtype=np.int32)]], 1.0)
+    assert len(builder.build()[0]) == 1010
+
+
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_cells_of_some_blocks(share):
     lattice = Lattice(0.0, 0.0, 0.1, 101, 75)
