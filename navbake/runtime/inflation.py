@@ -58,6 +58,9 @@ MAX_HEADINGS = 720
 MAX_FOOTPRINT_REACH = 1000  # [cells] from a footprint's origin
 DISTANCE_SLACK = 1e-9  # share of a cell by which distances may be rounded
 COST_SLACK = 1e-9  # by which a cost may be rounded
+# [cells squared] up to which costs are tabulated: the kernel adds the last step to it, in int32
+MAX_SQUARED_DISTANCE = 2**31 - 1 - 2 * 46_341
+SQUARES_AT_ONCE = 1 << 18  # how many costs are computed at once, to limit memory
 
 
 class Margins(NamedTuple):
@@ -222,12 +225,13 @@ def _combine_weights(
     is_opened = None
     if "solid" in level.attributes:
         is_opened = level.free_for_point & ~level.free
+    old_weights = level.weights  # derived on first access, if a file lacks them
     weights = np.empty(level.shape)
 
     def combine_rows(first_row: int, end_row: int) -> None:
         rows = slice(first_row, end_row)
         row_weights = weights[rows]
-        row_weights[:] = level.weights[rows]
+        row_weights[:] = old_weights[rows]
         if is_opened is not None:
             row_weights[is_opened[rows]] = 1.0
         if least_weights is not None:
@@ -302,6 +306,7 @@ def nav2_costs(
     Returns:
         uint8, shape (height, width): 254 on occupied cells, 253 up to the inscribed radius, then
         ``floor(252 exp(-scaling (d - radius)))``, d from the nearest occupied cell's centre [m].
+        Cells more than 46,339 cells away from it cost 0.
     """
     cell_size = grid.levels[level].lattice.cell_size
     # at this distance, costs have fallen to 1
@@ -311,15 +316,18 @@ def nav2_costs(
     # no two cells of the grid are farther from each other than its corners
     bounds = np.array([stacked_level.lattice.bounds for stacked_level in grid.levels])
     extent = np.ceil((bounds[:, 2:].max(axis=0) - bounds[:, :2].min(axis=0)) / cell_size) + 1
-    largest_squared_distance = min(max_squared_distance, int((extent**2).sum()))
-    distance_table = np.sqrt(np.arange(largest_squared_distance + 1)) * cell_size
+    num_squares = 1 + min(max_squared_distance, int((extent**2).sum()), MAX_SQUARED_DISTANCE - 1)
     distance_slack = DISTANCE_SLACK * cell_size
-    decay = np.exp(-scaling * np.maximum(distance_table - radius, 0))
-    cost_table = np.floor(MAX_FREE_COST * decay + COST_SLACK)
-    cost_table = np.where(distance_table <= radius + distance_slack, INSCRIBED_COST, cost_table)
-    cost_table[distance_table > inflation_radius + distance_slack] = 0
+    cost_table = np.empty(num_squares, dtype=np.uint8)
+    for begin in range(0, num_squares, SQUARES_AT_ONCE):
+        costs = cost_table[begin : begin + SQUARES_AT_ONCE]
+        distances = np.sqrt(np.arange(begin, begin + len(costs))) * cell_size
+        decay = np.exp(-scaling * np.maximum(distances - radius, 0))
+        costs[:] = np.floor(MAX_FREE_COST * decay + COST_SLACK)
+        costs[distances <= radius + distance_slack] = INSCRIBED_COST
+        costs[distances > inflation_radius + distance_slack] = 0
     cost_table[0] = OCCUPIED_COST
-    return look_up_by_distance(grid, level, cost_table.astype(np.uint8))
+    return look_up_by_distance(grid, level, cost_table)
 
 
 # ---------------------------------------------------------------- arguments

@@ -18,6 +18,7 @@ from navbake.errors import QueryError
 from navbake.formats.navgrid import dumps_navgrid
 from navbake.navgrid.islands import find_islands
 from navbake.navgrid.user_data import UserData
+from navbake.runtime import inflation as inflation_module
 from navbake.runtime.inflation import nav2_costs
 from navbake.runtime.search import Search
 from navbake.runtime.surroundings import look_up_by_distance, stack_levels
@@ -416,6 +417,27 @@ def test_nav2_costs_are_its_formula(seed):
         expected = 0 if d > inflation_radius + 1e-9 else expected
         expected = 254 if d == 0 else 253 if d <= radius else expected
         assert costs[row, col] == expected
+
+
+def test_nav2_costs_are_the_same_when_tabulated_in_slices(monkeypatch):
+    level = make_level(np.random.default_rng(0).random((20, 30)) < 0.01, cell=0.05)
+    costs = nav2_costs(level, 0.2, 2.0, 1.0)
+    monkeypatch.setattr(inflation_module, "SQUARES_AT_ONCE", 7)
+    np.testing.assert_array_equal(nav2_costs(level, 0.2, 2.0, 1.0), costs)
+
+
+def test_costs_of_a_wide_reach_end_where_their_squares_would_overflow(monkeypatch):
+    """The cells of a corridor longer than the limit, which the test lowers to 30 cells."""
+    level = make_level(np.arange(60)[None] == 0, cell=0.05)
+    costs = nav2_costs(level, 0.2, 9000.0, 0.001)
+    assert (costs > 200).all()
+    monkeypatch.setattr(inflation_module, "MAX_SQUARED_DISTANCE", 30**2 + 1)
+    np.testing.assert_array_equal(
+        nav2_costs(level, 0.2, 9000.0, 0.001), np.where(np.arange(60) <= 30, costs, 0)
+    )
+    farthest_step = 2 * 46_341  # the kernel adds it to the largest squared distance
+    monkeypatch.undo()
+    assert inflation_module.MAX_SQUARED_DISTANCE + farthest_step <= np.iinfo(np.int32).max
 
 
 @pytest.mark.parametrize("radius", [0.2, 0.25, 0.3, 0.4])
