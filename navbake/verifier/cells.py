@@ -233,9 +233,12 @@ class FloorCheck:
             is_same_line = self._center(row, col) == (x, y)
             vertical_line = self._line_at(row, col) if is_same_line else self._probe.cast_line(x, y)
             tolerance = compute_floor_tolerance(x, y, z)
-            standable_hits = vertical_line.find_standable_hits(
-                self._agent.height, self._agent.min_normal_z
-            )
+            if is_same_line:
+                standable_hits = self._all_standable_at(row, col)
+            else:
+                standable_hits = vertical_line.find_standable_hits(
+                    self._agent.height, self._agent.min_normal_z
+                )
             if not has_no_floor:
                 counts.floors += 1
             is_unchecked = has_no_floor or bool(is_unseen[sample.rows[cell], sample.cols[cell]])
