@@ -277,7 +277,9 @@ def _remove_ridges(region_context: RegionContext, starts: list[list[float]]) -> 
     if not len(ridge_surfaces):
         return region_context
     changed_blocks = regions.list_blocks_of(ridge_surfaces)
-    remaining_regions = remove_from_regions(regions, ridge_surfaces, region_context.agent)
+    remaining_regions = remove_from_regions(
+        regions, ridge_surfaces, changed_blocks, region_context.agent
+    )
     is_large = find_large_remaining_regions(
         remaining_regions,
         regions,

@@ -444,7 +444,9 @@ def find_regions(
     return _merge_to_regions(surfaces, find_components(surfaces, join_rule, group_of_surface))
 
 
-def remove_from_regions(regions: Regions, removed_surfaces: Int, agent: AgentSettings) -> Regions:
+def remove_from_regions(
+    regions: Regions, removed_surfaces: Int, changed_blocks: Int, agent: AgentSettings
+) -> Regions:
     """Return the regions that are left after some surfaces are removed from them.
 
     No agent stands on a removed surface then (its `Surfaces.flags` are 0), but a floor beside it
@@ -454,6 +456,7 @@ def remove_from_regions(regions: Regions, removed_surfaces: Int, agent: AgentSet
         regions: all regions, as `find_regions` finds them without groups. What they say of single
             surfaces is overwritten; what they say of whole regions and components stays valid.
         removed_surfaces: ids of the surfaces that are removed, shape (n,).
+        changed_blocks: ids of the blocks that hold them, see `Regions.list_blocks_of`, shape (k,).
         agent: the agent, of which the step and slope are used.
 
     Returns:
@@ -461,7 +464,6 @@ def remove_from_regions(regions: Regions, removed_surfaces: Int, agent: AgentSet
         surfaces are labelled again.
     """
     surfaces = regions.surfaces
-    changed_blocks = regions.list_blocks_of(removed_surfaces)
     surfaces.flags[removed_surfaces] = 0
     join_rule = make_region_join_rule(surfaces.lattice, agent)
     components = relabel_components(regions.components, surfaces, join_rule, changed_blocks)

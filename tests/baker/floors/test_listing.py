@@ -170,7 +170,7 @@ def test_regions_without_some_surfaces_are_those_of_the_others(tmp_path, seed, n
     is_large_before = [
         find_large_regions(regions, regions.num_surfaces > 0, limits) for limits in limits_to_try
     ]
-    remaining = remove_from_regions(regions, removed_surfaces, agent)
+    remaining = remove_from_regions(regions, removed_surfaces, changed_blocks, agent)
     assert np.array_equal(remaining.surfaces.flags, flags)
     for name in ("num_surfaces", "num_uncovered", "box", "lowest_z", "highest_z"):
         assert np.array_equal(getattr(remaining, name), getattr(expected, name)), name
