@@ -60,6 +60,7 @@ from navbake.baker.occupants.movable import (
     find_movable_occupants,
 )
 from navbake.baker.occupants.standing import (
+    OccupantGeoms,
     StandingCells,
     StandingOccupants,
     classify_occupants,
@@ -281,17 +282,17 @@ class Stages:
         floors = self.floors
         columns = self.column_chunks
         with self.clock.stage("occupancy"):
-            wall_candidates = None
+            occupant_geoms = None
             if self.extents is not None:
-                wall_candidates = mark_wall_candidates(self.scene, self.extents)
+                is_wall_candidate = mark_wall_candidates(self.scene, self.extents)
+                occupant_geoms = OccupantGeoms(self.extents, is_wall_candidate)
             return find_standing_cells(
                 columns,
                 self.shape_source,
                 floors=floors,
                 footprint=self.footprint,
                 agent=self.config.agent,
-                extents=self.extents,
-                wall_candidates=wall_candidates,
+                occupant_geoms=occupant_geoms,
                 clock=self.clock,
             )
 

@@ -48,6 +48,19 @@ from navbake.types import Bool
 NO_ROWS = (np.empty((0, 7), dtype=np.int64), np.empty((0, 2)))
 
 
+class OccupantGeoms(NamedTuple):
+    """The geoms of structure that are listed as occupants of cells.
+
+    Attributes:
+        extents: the geoms' bounding boxes.
+        is_wall_candidate: mask by geom id of the geoms whose shape may be that of a wall, see
+            `navbake.baker.occupants.kinds.mark_wall_candidates`, shape (ngeom,), bool.
+    """
+
+    extents: Extents
+    is_wall_candidate: Bool
+
+
 class StandingCells(NamedTuple):
     """The structure in the cells of all levels, and flags of the cells' vertical lines.
 
@@ -118,8 +131,7 @@ def find_standing_cells(
     floors: Floors,
     footprint: Footprint,
     agent: AgentSettings,
-    extents: Extents | None,
-    wall_candidates: Bool | None,
+    occupant_geoms: OccupantGeoms | None,
     clock: StageClock,
 ) -> StandingCells:
     """Find the cells that structure occupies, the structure in each, and the flags for rooms.
@@ -130,9 +142,7 @@ def find_standing_cells(
         floors: the floors of all levels.
         footprint: the volume over a floor that has to be free.
         agent: the agent; its height, highest step and largest slope are read.
-        extents: bounding boxes of the structure's geoms; None to list no occupants.
-        wall_candidates: mask by geom id of the geoms whose shape may be that of a wall, bool; None
-            to list no occupants.
+        occupant_geoms: the geoms that are listed as occupants; None to list no occupants.
         clock: measures the time for the flags, which counts as a part of the stage of rooms.
     """
     lattice = columns.lattice
@@ -143,8 +153,10 @@ def find_standing_cells(
         blocked_square_masks = [mask.copy() for mask in occupied_masks]
     column_flags = [np.empty(num_cells, dtype=np.uint8) for _ in floors.levels]
     occupants_builder = None
-    if extents is not None:
-        occupants_builder = OccupantsBuilder(lattice, len(floors.levels), extents)
+    wall_candidates = None
+    if occupant_geoms is not None:
+        occupants_builder = OccupantsBuilder(lattice, len(floors.levels), occupant_geoms.extents)
+        wall_candidates = occupant_geoms.is_wall_candidate
     for chunk in columns.row_chunks():
         tiled_shapes = chunk.nearby_shapes or shape_source.shapes_near_rows(chunk.valid_rows)
         first_cell, end_cell = chunk.valid_rows.cell_range(lattice)
