@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from navbake.formats.voxels import read_voxels as load_voxels
     from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
     from navbake.navgrid.links import Agent
+    from navbake.runtime.inflation import InflationWarning
     from navbake.runtime.path_finder import PathFinder
     from navbake.verifier.verify import verify
     from navbake.views.draw import draw
@@ -55,6 +56,7 @@ __all__ = [
     "ConfigError",
     "ExploredMap",
     "FormatError",
+    "InflationWarning",
     "LocalFlight",
     "MissingDependencyError",
     "MultiLevelGrid",
@@ -96,6 +98,7 @@ _LAZY = {
     "BakeConfig": "navbake.config.settings:BakeConfig",
     "Baker": "navbake.baker.live.baker:Baker",
     "ExploredMap": "navbake.arena.map_descriptor:ExploredMap",
+    "InflationWarning": "navbake.runtime.inflation:InflationWarning",
     "LocalFlight": "navbake.baker.voxels.local_flight:LocalFlight",
     "MultiLevelGrid": "navbake.navgrid.grid:MultiLevelGrid",
     "PathFinder": "navbake.runtime.path_finder:PathFinder",

@@ -52,7 +52,7 @@ REFERENCE = {
         "Grids",
         (
             "load", "from_grscenes", "from_nav2", "from_npz", "from_omnigibson", "from_procthor",
-            "SceneGrid2D", "MultiLevelGrid",
+            "SceneGrid2D", "MultiLevelGrid", "InflationWarning",
         ),
     ),
     "reference_agents.md": ("Paths and places", ("PathFinder", "Agent")),

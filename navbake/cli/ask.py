@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -189,15 +190,17 @@ def path(
     is_named = any(goal.startswith(NAME_PREFIXES) for goal in goals)
     if len(goals) > 1 and is_named:
         raise BadParameter("several goals have to be positions", param_hint="--to")
-    nav_grid = navbake.load(grid)
+    # loading takes seconds, so wrong places are told first
+    load_grid = partial(navbake.load, grid)
     start_place = None
     if not start.startswith("room:"):
-        start_place = options.parse_place(start, "--from", nav_grid)
+        start_place = options.parse_place(start, "--from", load_grid)
     goal_places = []
     if not is_named:
         goal_places = [
-            options.parse_place(text, "--to", nav_grid, with_objects=True) for text in goals
+            options.parse_place(text, "--to", load_grid, with_objects=True) for text in goals
         ]
+    nav_grid = load_grid()
     if opened or closed:
         state_by_link = dict.fromkeys(opened or (), "open") | dict.fromkeys(closed or (), "closed")
         nav_grid = nav_grid.with_links(state_by_link)

@@ -71,13 +71,21 @@ def list_levels(ctx: Context) -> list[str]:
 def list_rooms(ctx: Context) -> list[str]:
     """List the ids and names of the rooms of the command's grid."""
     grid = _read_grid(ctx)
-    return [] if grid is None else room_names(grid)
+    if grid is None:
+        return []
+    from navbake.navgrid.names import list_room_names  # loads numpy
+
+    return list_room_names(grid)
 
 
 def list_objects(ctx: Context) -> list[str]:
     """List the names of the objects of the command's grid."""
     grid = _read_grid(ctx)
-    return [] if grid is None else object_names(grid)
+    if grid is None:
+        return []
+    from navbake.navgrid.names import list_object_names  # loads numpy
+
+    return list_object_names(grid)
 
 
 def list_agents(ctx: Context) -> list[str]:
@@ -100,22 +108,6 @@ def list_starts(ctx: Context) -> list[str]:
 def list_goals(ctx: Context) -> list[str]:
     """List the rooms and objects of the command's grid as places, such as ``object:sofa``."""
     return list_starts(ctx) + [f"object:{name}" for name in list_objects(ctx)]
-
-
-def room_names(grid: NavGrid) -> list[str]:
-    """Return the ids and names of the rooms of a grid."""
-    return [name for room in grid.rooms for name in (room.id, room.name) if name]
-
-
-def object_names(grid: NavGrid) -> list[str]:
-    """Return the sorted names of the objects of a grid."""
-    from navbake.navgrid.user_data import names_in  # loads numpy
-
-    names: set[str] = set()
-    for level in grid.levels:
-        for entry in level.user_data.values():
-            names.update(names_in(entry, "objects"))
-    return sorted(names)
 
 
 def _read_grid(ctx: Context) -> NavGrid | None:

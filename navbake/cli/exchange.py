@@ -284,7 +284,9 @@ def _plan_route(grid: NavGrid, text: str) -> Route:
     )
     goal_place: str | list[float] = goal_text.strip()
     if not str(goal_place).startswith(("room:", "object:")):
-        typed_goal = options.parse_place(str(goal_place), "--route", grid, with_objects=True)
+        typed_goal = options.parse_place(
+            str(goal_place), "--route", lambda: grid, with_objects=True
+        )
         goal_place = options.position_of_place(grid, typed_goal, "--route")
     finder = navbake.PathFinder(grid)
     path = finder.find_path(start_position, goal_place)

@@ -23,7 +23,7 @@ from typer.core import TyperCommand
 
 from navbake import files, samples
 from navbake.cli import printing
-from navbake.cli.completion import list_levels, list_scenes, object_names, room_names
+from navbake.cli.completion import list_levels, list_scenes
 from navbake.cli.printing import VERBOSITY, print_error, use_verbosity
 from navbake.errors import ConfigError, NavbakeError, printable
 from navbake.formats.source import write_bytes
@@ -578,14 +578,20 @@ class TypedPlace(NamedTuple):
 
 
 def parse_place(
-    text: str, option: str, grid: NavGrid | None = None, *, with_objects: bool = False
+    text: str,
+    option: str,
+    load_grid: Callable[[], NavGrid] | None = None,
+    *,
+    with_objects: bool = False,
 ) -> TypedPlace:
     """Parse a place.
 
     Args:
         text: ``x,y``, ``x,y,z`` or ``x,y,L1``.
         option: the name of the option that gives the text, for errors.
-        grid: the grid whose rooms the error offers; None where the option takes places alone.
+        load_grid: returns the grid whose rooms the error offers. It is called for the error alone,
+            as loading takes seconds, and not for a text with a comma, which was meant as numbers.
+            None where the option takes places alone.
         with_objects: whether the option also takes objects, so that the error offers them, too.
 
     Raises:
@@ -593,7 +599,9 @@ def parse_place(
     """
     place_match = PLACE_PATTERN.fullmatch(text)
     if not place_match:
-        hint = "" if grid is None else _hint_at_name(text, grid, with_objects)
+        hint = ""
+        if load_grid is not None and "," not in text:
+            hint = _hint_at_name(text, load_grid(), with_objects)
         message = f"expected {PLACE} as in 1.5,-2 or 1.5,-2,0.3 or 1.5,-2,L1, got {text!r}{hint}"
         raise BadParameter(message, param_hint=option)
     x = float(place_match[1])
@@ -607,10 +615,12 @@ def parse_place(
 
 def _hint_at_name(text: str, grid: NavGrid, with_objects: bool) -> str:
     """Write a hint for a text that is no place, such as ``; did you mean room:hall?``."""
-    names_by_place = {f"room:{name}": name for name in room_names(grid)}
+    from navbake.navgrid.names import list_object_names, list_room_names  # loads numpy
+
+    names_by_place = {f"room:{name}": name for name in list_room_names(grid)}
     written_text = "a room is written room:NAME"
     if with_objects:
-        names_by_place |= {f"object:{name}": name for name in object_names(grid)}
+        names_by_place |= {f"object:{name}": name for name in list_object_names(grid)}
         written_text += ", an object object:NAME"
     similar_names = find_similar_names(text, names_by_place.values())
     for place_text, name in names_by_place.items():

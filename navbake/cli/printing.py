@@ -204,7 +204,10 @@ def print_warnings(texts: Iterable[str]) -> None:
 
 @contextmanager
 def print_package_warnings() -> Iterator[None]:
-    """Within it, Python's warnings of navbake's own categories are printed by `print_warnings`."""
+    """Within it, Python's warnings of navbake's own categories are printed by `print_warnings`.
+
+    Those that a command causes are printed whatever filters Python was started with.
+    """
     show_as_python = warnings.showwarning
 
     def show_warning(
@@ -222,6 +225,8 @@ def print_package_warnings() -> Iterator[None]:
 
     with warnings.catch_warnings():
         warnings.showwarning = show_warning
+        # by the module that causes a warning, as the categories are in modules that load numpy
+        warnings.filterwarnings("always", category=UserWarning, module=r"navbake\.cli\.")
         yield
 
 

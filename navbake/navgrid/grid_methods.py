@@ -300,7 +300,7 @@ class GridMethods:
         ``minos``, the weights are those that MINOS's client computes (``refine``), cell for cell.
 
         A grid that is inflated already can be inflated for a larger radius. For a smaller one it
-        stays as it is, and an `InflationWarning` says so.
+        stays as it is, and a `navbake.InflationWarning` says so.
 
         A blocked cell stays blocked, unless only the disc of the baked radius blocked it (see
         `SceneGrid2D.solid`). With radius 0 and a clearance, ``minos`` frees other blocked cells,

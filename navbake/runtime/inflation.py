@@ -96,7 +96,12 @@ class OffCenterMasks(NamedTuple):
 
 
 class InflationWarning(UserWarning):
-    """A warning that a grid stays inflated for a larger radius than the wanted one."""
+    """A warning that a grid stays inflated for a larger radius than the wanted one.
+
+    `SceneGrid2D.inflate` and `MultiLevelGrid.inflate` issue it: a map, or a grid that was inflated,
+    doesn't get narrower obstacles. ``warnings.simplefilter("error", navbake.InflationWarning)``
+    turns it into an error, ``"ignore"`` silences it.
+    """
 
 
 def inflate(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import warnings
 from functools import partial
 from pathlib import Path
 
@@ -196,8 +197,9 @@ def test_inflate_names_the_stairs_that_it_closes_and_path_does_too(inflate, run)
     assert (status, err) == (0, "")
 
 
-@pytest.mark.filterwarnings("default::UserWarning")
-def test_a_grid_that_is_inflated_for_more_stays_so_and_that_is_said(inflate, run):
+@pytest.mark.parametrize("action", ["default", "ignore", "error"])
+def test_a_grid_that_is_inflated_for_more_stays_so_and_that_is_said(inflate, run, action):
+    warnings.simplefilter(action, UserWarning)  # commands say it all the same
     inflate("house.json.gz", 0.4, "-o", "a.json")
     status, out, err = inflate("a.json", 0.2, "-o", "b.json")
     warning = "the grid of 'house' stays inflated for 0.4 m, not 0.2 m"

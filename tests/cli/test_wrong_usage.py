@@ -111,6 +111,8 @@ CASES = [
     ("path house.json.gz --from abc --to room:1:1", 2, "--from"),
     ("path house.json.gz --from kitchen --to 0,0", 2, "got 'kitchen'; a room is written room:NAME"),
     ("path house.json.gz --from object:sofa --to 0,0", 2, "a room is written room:NAME"),
+    ("path broken.yaml --from 0,0,0,0 --to room:1:1", 2, "got '0,0,0,0'"),  # without loading it
+    ("path broken.yaml --from 0,0 --to 1e999,0", 2, "expected finite numbers"),
     ("path house.json.gz --from 1:1 --to 0,0", 2, "got '1:1'; did you mean room:1:1?"),
     ("path house.json.gz --from sofa --to 0,0", 2, "got 'sofa'; a room is written room:NAME"),
     (f"{PATH} --to kitchen", 2, "a room is written room:NAME, an object object:NAME"),

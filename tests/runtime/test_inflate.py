@@ -261,6 +261,7 @@ def test_a_grid_that_stays_inflated_for_more_says_so(recwarn):
     (warning,) = recwarn
     expected = "'hall' stays inflated for 0.16 m, not 0.06 m: inflate the grid as it was baked"
     assert (warning.filename, expected in str(warning.message)) == (__file__, True)
+    assert warning.category is navbake.InflationWarning
     wide.inflate(0.06, mode="minos")  # which is not compared with other modes
     assert len(recwarn) == 1
 
