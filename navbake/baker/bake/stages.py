@@ -343,7 +343,7 @@ class Stages:
                 settings=self.config.rooms,
                 agent=self.config.agent,
             )
-            columns.forget_columns()
+            columns.release_memory()
             return room_flags
 
     @cached_property

@@ -293,8 +293,8 @@ class ColumnCaster:
         self._last_columns = columns
         return columns
 
-    def forget_columns(self) -> None:
-        """Forget the columns of the last call of `columns_at`; implements `ColumnSource`."""
+    def release_memory(self) -> None:
+        """Give free memory back, in a large lattice; implements `ColumnSource`."""
         self._last_cells = np.empty(0, dtype=np.int64)
         self._last_columns = None
         if self._all_columns is None:  # in a small lattice, giving it back takes more than it saves
@@ -379,9 +379,9 @@ class WindowColumns(NamedTuple):
         hits = select_columns(self.source.columns_at(source_cells).hits, source_cells)
         return index_by_cell(self.lattice, window_cells, hits)
 
-    def forget_columns(self) -> None:
-        """Forget the columns of single cells; implements `ColumnSource`."""
-        self.source.forget_columns()
+    def release_memory(self) -> None:
+        """Give free memory back, in a large lattice; implements `ColumnSource`."""
+        self.source.release_memory()
 
     def to_source_cells(self, cells: Int) -> Int:
         """Turn ids of cells in the window into ids in the lattice of the source."""

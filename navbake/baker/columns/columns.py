@@ -222,8 +222,8 @@ class Columns:
         """Return all columns, which are valid for all cells; implements `ColumnSource`."""
         return self
 
-    def forget_columns(self) -> None:
-        """Do nothing, as all columns are kept; implements `ColumnSource`."""
+    def release_memory(self) -> None:
+        """Do nothing, as all columns stay in memory; implements `ColumnSource`."""
 
 
 class ColumnSource(Protocol):
@@ -246,10 +246,10 @@ class ColumnSource(Protocol):
             Columns of the whole lattice. Those of `cells` are valid; all others may be invalid.
         """
 
-    def forget_columns(self) -> None:
-        """Forget the columns that `columns_at` keeps for its next calls, if it keeps any.
+    def release_memory(self) -> None:
+        """Give all memory that is free back to the system, in a large lattice.
 
-        In a large lattice, memory that has been freed is then given back to the system.
+        The columns that `columns_at` keeps for its next calls are freed before.
         """
 
 

@@ -148,7 +148,7 @@ def find_floors(
     classified_regions = _classify_regions(
         columns, shapes, agent, settings, level_settings or (), is_occupied
     )
-    columns.forget_columns()  # from here on, only a level that may be a void needs some
+    columns.release_memory()  # from here on, only a level that may be a void needs columns
     assigned_floors = _assign_floors(
         classified_regions, columns, shapes.planes.geom, agent, settings, level_settings
     )
@@ -161,7 +161,7 @@ def find_floors(
     grounds = assignment.grounds
     # growth needs neither regions nor geoms: their memory is free for it
     del classified_regions, assigned_floors, assignment
-    columns.forget_columns()
+    columns.release_memory()
     grown_floors = grow_levels(growing_surfaces, len(grounds), agent)
     levels = []
     for name, ground, grown_floor in zip(names, grounds, grown_floors, strict=True):
@@ -217,7 +217,7 @@ def _classify_regions(
         SceneError: there is no floor at all, or none at a position of `floors.from`.
     """
     surfaces = find_surfaces(columns, shapes.planes, agent)
-    columns.forget_columns()
+    columns.release_memory()
     regions = find_regions(surfaces, agent)
     if not regions.num_regions:
         raise SceneError(_explain_no_floor(columns, regions.surfaces, agent))
