@@ -199,7 +199,6 @@ class CountedGeoms(NamedTuple):
     sky_warnings: list[str]
 
 
-@without_garbage_collection()
 def load_scene(
     config: BakeConfig,
     *,
@@ -221,9 +220,15 @@ def load_scene(
         ConfigError: a setting does not fit the scene.
         SceneError: the scene cannot be read, or no geom counts.
     """
-    settings = config.scene
     if scene_model is None:
         scene_model = load_scene_file(config, limits)
+    with without_garbage_collection():  # not while a file is compiled, which may take long
+        return _pose_scene(scene_model, config)
+
+
+def _pose_scene(scene_model: SceneModel, config: BakeConfig) -> Scene:
+    """Pose a compiled model, select the geoms that count, and find their roles."""
+    settings = config.scene
     model = scene_model.model
     exact_meshes = scene_model.exact_meshes
     with catch_warnings() as pose_warnings:

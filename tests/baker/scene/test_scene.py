@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import os
 import threading
@@ -13,6 +14,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from navbake.baker.scene import scene as scene_module
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
 from oracles.rays import first_hit
@@ -171,6 +173,19 @@ def test_names_that_are_not_utf_8(load, tmp_path):
     assert [(geom.name, geom.body) for geom in scene.geoms] == [("t\ufffdr", "caf\ufffd")]
     with pytest.raises(ConfigError, match="has \ufffd"):
         load_alone(SceneSettings(path=path, joints={"a": 1.0}))
+
+
+def test_garbage_is_collected_while_a_file_is_compiled(load, monkeypatch):
+    states = []
+    load_model = scene_module.load_model
+
+    def spy(*args):
+        states.append(gc.isenabled())
+        return load_model(*args)
+
+    monkeypatch.setattr(scene_module, "load_model", spy)
+    load('<geom type="box" size="1 1 1"/>')
+    assert states == [True]
 
 
 def test_loads_in_threads(load, tmp_path):
