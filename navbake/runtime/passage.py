@@ -25,7 +25,7 @@ from navbake.runtime.flat_grid import (
 )
 from navbake.runtime.paths import Goal, find_target
 from navbake.runtime.search import Search
-from navbake.runtime.surroundings import find_free
+from navbake.runtime.surroundings import RADIUS_SLACK, find_free
 from navbake.types import Bool, Float, Int
 
 # weight of a cell that is too narrow for a larger agent: a route avoids such cells if it can
@@ -205,8 +205,8 @@ def _radii_that_change_cells(
     """List the radii at which cells or links may become too narrow, between two radii.
 
     Returns the radii from `min_radius` on and below `max_radius`, ascending, and then `max_radius`
-    itself [m].
-
+    itself [m]. A radius that is less than `min_radius` by no more than rounding counts as equal to
+    it: no cell that is free for it is blocked at `min_radius`.
     """
     flat = search.flat
     candidate_radii = [np.array([grid.agent_radius]), flat.arcs.width / 2.0]
@@ -217,7 +217,8 @@ def _radii_that_change_cells(
             np.sqrt(np.arange(first_squared_diameter, last_squared_diameter + 1)) * (cell_size / 2)
         )
     radii = np.unique(np.concatenate(candidate_radii))
-    return [*radii[(radii >= min_radius) & (radii < max_radius)].tolist(), max_radius]
+    is_between = (radii >= min_radius * (1.0 - RADIUS_SLACK)) & (radii < max_radius)
+    return [*radii[is_between].tolist(), max_radius]
 
 
 def find_bottleneck(

@@ -107,6 +107,21 @@ def test_it_equals_bisection_over_inflate(seed):
     assert inflated[0][cell] and not inflated[1][cell]
 
 
+@pytest.mark.parametrize("cell_size", [0.03, 0.07, 0.13])
+def test_radii_of_whole_and_half_cells_pass(cell_size):
+    # in line with a post, the radius is a number of half cells that a bisection meets, too, but
+    # rounds otherwise
+    num_cells = 70
+    text = "." * num_cells + "#"
+    grid = level_from(text, cell_size=cell_size)
+    finder = PathFinder(grid)
+    for distance in range(1, num_cells + 1):
+        place = [*grid.lattice.positions(0, num_cells - distance), 0.0]
+        widest = finder.max_radius(place, place)
+        assert widest.radius == pytest.approx((distance - 0.5) * cell_size, rel=1e-12)
+        np.testing.assert_allclose(widest.position, place)
+
+
 def test_the_bottleneck_is_the_opening_between_two_rooms():
     grid = level_from(ROOMS)
     found = PathFinder(grid).max_radius((0.45, -0.45), (1.25, -0.45))
