@@ -29,6 +29,7 @@ from navbake.verifier.probes import (
     TOUCHES,
     ObstacleProbe,
     SurfaceHit,
+    VerticalLine,
 )
 from navbake.verifier.report import Finding, LevelCounts
 from navbake.verifier.ridges import RidgeProbe
@@ -195,7 +196,27 @@ class FloorCheck:
         self._ridges = RidgeProbe(
             probe, agent, self._lattice, self._line_at, self._all_standable_at
         )
+        # the same by lines slightly beside the cells' centres
+        self._ridges_beside = [
+            self._make_ridge_probe(EDGE_TOLERANCE * cos, EDGE_TOLERANCE * sin)
+            for cos, sin in PROBE_DIRECTIONS
+        ]
         self._standable_at = lru_cache(200_000)(self._find_standable)
+
+    def _make_ridge_probe(self, x_offset: float, y_offset: float) -> RidgeProbe:
+        """Return a probe of ridges whose lines run beside the cells' centres, at an offset [m]."""
+
+        @lru_cache(200_000)
+        def line_at(row: int, col: int) -> VerticalLine:
+            x, y = self._center(row, col)
+            return self._probe.cast_line(x + x_offset, y + y_offset)
+
+        def standable_at(row: int, col: int) -> list[SurfaceHit]:
+            return line_at(row, col).find_standable_hits(
+                self._agent.height, self._agent.min_normal_z
+            )
+
+        return RidgeProbe(self._probe, self._agent, self._lattice, line_at, standable_at)
 
     def _find_standable(self, row: int, col: int) -> list[SurfaceHit]:
         """Return the surfaces to stand on in a cell, lowest first, that are on no ridges."""
@@ -295,6 +316,7 @@ class FloorCheck:
         """
         is_step = self._is_step_from_free_cell(row, col, position[2])
         is_step = is_step and self._is_certain(*position)
+        is_step = is_step and not self._might_be_ridge(row, col, position[2])
         if not is_step:
             row = row - row % self._stride
             col = col - col % self._stride
@@ -531,6 +553,16 @@ class FloorCheck:
             if not any(abs(hit.z - z) <= FLOOR_TOLERANCE for hit in standable_hits):
                 return False
         return True
+
+    def _might_be_ridge(self, row: int, col: int, z: float) -> bool:
+        """Return whether a place to stand is a ridge by any lines slightly beside the centres.
+
+        Where a tread ends on the line through a cell's centre, rounding decides whether a step
+        leads from there to the top of a wall.
+        """
+        if self._settings.tops:
+            return False
+        return any(ridges.is_ridge(row, col, z) for ridges in self._ridges_beside)
 
 
 class CellContacts(NamedTuple):

@@ -22,6 +22,7 @@ from navbake.baker.floors.growth_kernels import (
 )
 from navbake.baker.floors.level_assignment import LevelAssignment
 from navbake.baker.floors.regions import Regions
+from navbake.baker.floors.surface_kernels import RIDGE_FLAGS
 from navbake.baker.floors.surfaces import may_slopes_join
 from navbake.config.settings import AgentSettings
 from navbake.errors import SceneError
@@ -59,7 +60,8 @@ def select_growing_surfaces(
         regions: all regions.
         assignment: the level of each surface.
         is_growth_barrier: the regions whose surfaces floors don't grow onto, such as roofs and tops
-            of furniture, shape (regions,), bool.
+            of furniture, shape (regions,), bool. Nor do they grow onto ridges, which are in no
+            region.
     """
     surfaces = regions.surfaces
     component_of_surface = regions.components.component_of_surface
@@ -77,6 +79,7 @@ def select_growing_surfaces(
             # "wrap", as -1 stands for the last entry
             np.take(level_of_number, number, mode="wrap", out=level)
             other_level = np.take(level_without_floor, component_of_surface[piece], mode="wrap")
+            other_level[surfaces.flags[piece] == RIDGE_FLAGS] = BARRIER  # ridges
             np.copyto(level, other_level, where=level == NO_LEVEL)
 
     run_in_chunks(write_levels, len(surfaces.z), min_chunk_size=LEAST_CELLS)

@@ -30,7 +30,7 @@ from navbake.baker.floors.region_kernels import (
     RegionSurfaces,
     mark_large_regions,
 )
-from navbake.baker.floors.surface_kernels import Surfaces
+from navbake.baker.floors.surface_kernels import RIDGE_FLAGS, Surfaces
 from navbake.baker.floors.surfaces import may_slopes_join
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.navgrid.lattice import Lattice
@@ -449,8 +449,8 @@ def remove_from_regions(
 ) -> Regions:
     """Return the regions that are left after some surfaces are removed from them.
 
-    No agent stands on a removed surface then (its `Surfaces.flags` are 0), but a floor beside it
-    may still continue there.
+    No agent stands on a removed surface then, and no floor continues there: its `Surfaces.flags`
+    are `RIDGE_FLAGS`.
 
     Args:
         regions: all regions, as `find_regions` finds them without groups. What they say of single
@@ -464,7 +464,7 @@ def remove_from_regions(
         surfaces are labelled again.
     """
     surfaces = regions.surfaces
-    surfaces.flags[removed_surfaces] = 0
+    surfaces.flags[removed_surfaces] = RIDGE_FLAGS
     join_rule = make_region_join_rule(surfaces.lattice, agent)
     components = relabel_components(regions.components, surfaces, join_rule, changed_blocks)
     return _merge_to_regions(surfaces, components)

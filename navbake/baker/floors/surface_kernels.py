@@ -27,6 +27,8 @@ FLOOR_LIKE = 1  # a floor may continue at the surface
 STANDABLE = 2  # an agent can stand on the surface
 UNCOVERED = 4  # an agent can stand on the surface, and nothing lies above it
 ENCLOSED = 8  # an agent could stand there if the closed mesh or plane around it were hollow
+# Value of `Surfaces.flags` for ridges, the tops of walls and beams: no floor may continue there
+RIDGE_FLAGS = 0
 
 # Directions from a cell to its neighbor. Row numbers grow to the south, against y
 EAST = 0

@@ -43,6 +43,29 @@ def test_a_walls_top_is_a_floor_from_its_width_on(tmp_path, width, is_floor):
     assert navbake.verify(grid, path, sample=None).ok
 
 
+@pytest.mark.parametrize(("height", "landing"), [(0.8, 0.6), (1.1, 0.88)])
+@pytest.mark.parametrize("cell_size", [0.05, 0.1])
+def test_no_floor_goes_on_from_a_landing_along_a_walls_top(tmp_path, height, landing, cell_size):
+    """Under the wall is no floor that could go on in place of it."""
+    parts = box("west", 0, 0, -0.1, 5, 4, 0) + box("east", 5.1, 0, -0.1, 8, 4, 0)
+    parts += box("wall", 5, 0, 0, 5.1, 4, height) + box("landing", 3, 0, 0, 5, 1.2, landing)
+    num_treads = round(landing / 0.2)
+    for number in range(1, num_treads):
+        x = 3 - 0.28 * (num_treads - number)
+        top = landing * number / num_treads
+        parts += box(f"tread {number}", x, 0, 0, x + 0.28, 1.2, top)
+    path = tmp_path / "garden.xml"
+    path.write_text(world(parts), encoding="utf-8")
+    grid = navbake.bake(path, grid={"cell_size": cell_size})
+    # the landing is 1.2 m deep: beside it, the wall's top is one more tread
+    assert top_area(grid, height) <= 1.25 * 0.1
+    finder = navbake.PathFinder(grid)
+    assert finder.find_path((1, 2, 0), (4.5, 0.6, landing)) is not None
+    assert not grid.at((5.05, 3.5, height)).free
+    assert finder.find_path((4, 3, 0), (6, 3, 0)) is None
+    assert navbake.verify(grid, path, sample=None).ok
+
+
 def test_settings_keep_a_ridge(tmp_path):
     path = wall_with_stairs(tmp_path, 0.2)
     assert top_area(navbake.bake(path, floors={"tops": True})) > 0.7
