@@ -153,11 +153,12 @@ def encode_with(
         agent=agent,
         closes_areas="areas" in file_format.closes,
     )
+    radius = cast("float | None", options.get("radius"))
     map_grid = grid
     if file_format.inflates:
-        radius = options.pop("radius", None)
+        options.pop("radius", None)
         if radius is not None:
-            map_grid = grid.inflate(cast("float", radius))  # checks the radius itself
+            map_grid = grid.inflate(radius)  # checks the radius itself
     if file_format.closes:
         options.pop("stairs", None)
         options.pop("agent", None)
@@ -167,8 +168,10 @@ def encode_with(
         elif any(mask.any() for mask in closed_cell_masks):
             map_grid = map_losses.close_cells(map_grid, closed_cell_masks)
     files: Files = resolve(f"navbake.formats.{file_format.encode}")(map_grid, path, **options)
+    if radius is None and options.get("inflation") is not None:  # costs are for the grid's agent
+        radius = grid.agent_radius
     losses = map_losses.describe_losses(
-        grid, file_format.loses, closed_cells, level=level, agent=agent
+        grid, file_format.loses, closed_cells, level=level, agent=agent, radius=radius or 0.0
     )
     if losses:
         LOG.warning("%s has no place for %s", file_format.name, ", ".join(losses))

@@ -311,6 +311,7 @@ def describe_losses(
     *,
     level: int | None = None,
     agent: str | Agent | None = None,
+    radius: float = 0.0,
 ) -> list[str]:
     """Describe the content of a grid that is lost when it is written in a format.
 
@@ -320,6 +321,7 @@ def describe_losses(
         closed_cells: the free cells that the file shows as occupied.
         level: the number of the only level that is written, None for all.
         agent: the agent that the file is for, None for any.
+        radius: the radius for which the file blocks cells beside obstacles and drops [m].
 
     Returns:
         A phrase for each kind of content that is lost, such as ``steps between levels (24)``.
@@ -337,6 +339,9 @@ def describe_losses(
         ]
         if height_ranges:
             phrases.append(f"floor heights ({', '.join(height_ranges)})")
+        drop_phrase = _describe_drops(grid, closed_cells, level_numbers, radius)
+        if drop_phrase is not None:
+            phrases.append(drop_phrase)
     stairs_area = _measure_area(grid, closed_cells.stair_masks, level_numbers)
     if stairs_area:
         phrases.append(
@@ -371,6 +376,72 @@ def describe_losses(
     if "doors" in lost_kinds and grid.doors:
         phrases.append(f"doors ({len(grid.doors)}, as they stand)")
     return phrases
+
+
+def _describe_drops(
+    grid: NavGrid, closed_cells: ClosedCells, level_numbers: Collection[int], radius: float
+) -> str | None:
+    """Describe the edges of drops that are beside two free cells of a file.
+
+    A file without heights shows one floor there, and a robot that plans on it would drive over the
+    edge. A radius of more than half a cell reaches from the centre of the higher cell to the lower
+    one's square, so that no free cell is beside a drop.
+
+    Args:
+        grid: the grid, not inflated for the file.
+        closed_cells: the free cells that the file shows as occupied.
+        level_numbers: the levels that are written.
+        radius: the radius for which the file blocks cells [m].
+
+    Returns:
+        The phrase; None where there are no such edges.
+    """
+    length = 0.0
+    least_radius = 0.0
+    closed_masks = closed_cells.join_masks()
+    for level_number in level_numbers:
+        half_cell = grid.levels[level_number].lattice.cell_size / 2
+        if radius > half_cell:
+            continue
+        num_edges = _count_drop_edges(grid, level_number, closed_masks[level_number])
+        length += num_edges * 2 * half_cell
+        if num_edges:
+            least_radius = max(least_radius, half_cell)
+    if not length:
+        return None
+    return (
+        f"drops between free cells ({format_length(length)} m of edges; --radius of more than "
+        f"{least_radius:g} m closes the cells beside them)"
+    )
+
+
+def _count_drop_edges(grid: NavGrid, level_number: int, is_closed: Bool) -> int:
+    """Count the pairs of free cells side by side whose floors are more than a step apart.
+
+    Pairs that the grid's steps join, on steep ramps, are left out.
+
+    Args:
+        grid: the grid.
+        level_number: the level's number.
+        is_closed: the free cells that count as occupied, shape (height, width).
+    """
+    level = grid.levels[level_number]
+    if not level.uses_cell_floors:
+        return 0
+    max_step = step_limit(grid) * grid.unit
+    floor = np.where(level.free & ~is_closed, level.floor, np.nan)
+    cells = np.arange(floor.size).reshape(floor.shape)
+    steps = grid.step_array
+    level_steps = steps[(steps[:, 0] == level_number) & (steps[:, 2] == level_number)][:, 1::2]
+    step_keys = np.sort(level_steps, axis=1) @ [floor.size, 1]
+    num_edges = 0
+    for heights, cell_ids in ((floor, cells), (floor.T, cells.T)):
+        is_drop = np.abs(np.diff(heights, axis=1)) > max_step  # False for NaN
+        first_cells = cell_ids[:, :-1][is_drop]
+        second_cells = cell_ids[:, 1:][is_drop]
+        is_ramp = np.isin(first_cells * floor.size + second_cells, step_keys)
+        num_edges += int(np.count_nonzero(~is_ramp))
+    return num_edges
 
 
 def _measure_area(grid: NavGrid, masks: Sequence[Bool], level_numbers: Collection[int]) -> float:

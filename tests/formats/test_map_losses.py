@@ -220,3 +220,50 @@ def test_what_is_lost_is_one_line_and_nothing_lost_is_none(tmp_path, caplog):
     house.convert(tmp_path / "a.json")
     level_from("...#").to_nav2(tmp_path / "flat.yaml")
     assert not caplog.messages
+
+
+DOCK = """
+........
+.1234567
+.......7
+.......7
+"""
+
+
+def drops_of(grid, folder, caplog, **options):
+    """What is told of the drops on a map of a grid, if it is."""
+    caplog.clear()
+    with caplog.at_level(logging.WARNING):
+        grid.convert(folder / "map.yaml", "nav2", stairs="free", **options)
+    phrases = ", ".join(caplog.messages).split("drops between free cells (")
+    return phrases[1].split(";")[0] if len(phrases) > 1 else None
+
+
+def test_free_cells_beside_a_drop_are_told_until_a_radius_closes_them(tmp_path, caplog):
+    floor = level_from(DOCK).floor
+    pairs = [np.abs(np.diff(floor, axis=axis)) > 0.25 for axis in (0, 1)]
+    count = sum(int(np.count_nonzero(pair)) for pair in pairs)
+    grid = level_from(DOCK)
+    assert drops_of(grid, tmp_path, caplog) == f"{count * 0.1:.2f} m of edges"
+    assert drops_of(grid, tmp_path, caplog, radius=0.05) == f"{count * 0.1:.2f} m of edges"
+    assert drops_of(grid, tmp_path, caplog, radius=0.06) is None
+    costs = {"mode": "raw", "inflation": 0.3}
+    assert drops_of(grid, tmp_path, caplog, **costs) == f"{count * 0.1:.2f} m of edges"
+    grid.metadata["agentRadius"] = 0.06  # which costs are for
+    assert drops_of(grid, tmp_path, caplog, **costs) is None
+    assert drops_of(grid.inflate(0.06), tmp_path, caplog) is None
+    over = grid.inflate(0.06, ledges="ignore")
+    assert drops_of(over, tmp_path, caplog) == f"{count * 0.1:.2f} m of edges"
+
+
+def test_steep_ramps_and_closed_cells_are_no_drops(tmp_path, caplog):
+    cliff = level_from("...999")
+    assert drops_of(cliff, tmp_path, caplog) == "0.10 m of edges"
+    with caplog.at_level(logging.WARNING):
+        caplog.clear()
+        cliff.to_nav2(tmp_path / "closed.yaml")  # what lies beyond is occupied
+    assert "drops" not in ", ".join(caplog.messages)
+    for link in ((0, 2, 0, 3), (0, 3, 0, 2)):
+        ramp = house_from([cliff])
+        ramp.metadata["navbake"]["links"] = [list(link)]
+        assert drops_of(ramp, tmp_path, caplog, level=0) is None
