@@ -52,7 +52,8 @@ class Agent:
         name: Its name, as links and areas use it.
         radius: Radius of its footprint [m]; None for the grid's.
         height: Its height [m]; None for the grid's.
-        step: The highest step that it takes [m]; None for the grid's.
+        step: The highest step that it takes [m]; None for the grid's. Where it is lower, it counts
+            for floors alone: things lower than the grid's step are no obstacles.
         speed: Its speed [m/s].
 
     Example:

@@ -96,11 +96,15 @@ class OffCenterMasks(NamedTuple):
 
 
 class InflationWarning(UserWarning):
-    """A warning that a grid stays inflated for a larger radius than the wanted one.
+    """A warning that an agent's radius isn't the one that a grid's inflation suggests.
 
-    `SceneGrid2D.inflate` and `MultiLevelGrid.inflate` issue it: a map, or a grid that was inflated,
-    doesn't get narrower obstacles. ``warnings.simplefilter("error", navbake.InflationWarning)``
-    turns it into an error, ``"ignore"`` silences it.
+    `SceneGrid2D.inflate` and `MultiLevelGrid.inflate` issue it where a grid stays inflated for a
+    larger radius than the wanted one: a map, or a grid that was inflated, doesn't get narrower
+    obstacles. `PathFinder.use` issues it where a grid that isn't inflated replaces one that was
+    inflated for a larger radius than that of the new grid.
+
+    ``warnings.simplefilter("error", navbake.InflationWarning)`` turns it into an error,
+    ``"ignore"`` silences it.
     """
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NoReturn, TypeAlias, overload
 
@@ -23,6 +24,7 @@ from navbake.navgrid.links import Agent
 from navbake.runtime import draws, no_path, passage, paths, places, stand
 from navbake.runtime.draws import Pose, SpawnRules, Spawns
 from navbake.runtime.flat_grid import IslandMap, RoomMap
+from navbake.runtime.inflation import InflationWarning
 from navbake.runtime.passage import Passage
 from navbake.runtime.path_following import DriveLimits, Follower
 from navbake.runtime.paths import Goal, Path
@@ -122,10 +124,15 @@ class PathFinder:
     ) -> None:
         self._cut_corners = cut_corners
         self._agent = agent
-        self.use(grid)
+        self._search = self._make_search(grid)
+        self.grid = self._search.grid
 
     def use(self, grid: NavGrid | str | os.PathLike[str]) -> None:
         """Switch to another grid, for example after `Baker.update`.
+
+        A finder with an agent inflates the new grid for it. A finder without one takes the grid as
+        it is. If that isn't inflated, but the grid before was, for a larger radius than that of the
+        new grid, a `navbake.InflationWarning` says so.
 
         Args:
             grid: a grid of one or several levels, or its file.
@@ -138,6 +145,22 @@ class PathFinder:
             >>> baker.update(data)
             >>> finder.use(baker.grid)
         """
+        search = self._make_search(grid)
+        last_radius = self.grid.inflated_radius
+        radius = search.grid.radius
+        if last_radius > radius and not search.grid.exact_inflations:
+            warnings.warn(
+                f"the grid of {search.grid.scene_id!r} isn't inflated: the finder's radius was "
+                f"{last_radius:g} m and is now {radius:g} m. Inflate the new grid, or make the "
+                f'finder with agent=navbake.Agent("robot", radius={last_radius:g})',
+                InflationWarning,
+                stacklevel=2,
+            )
+        self._search = search
+        self.grid = search.grid
+
+    def _make_search(self, grid: NavGrid | str | os.PathLike[str]) -> Search:
+        """Make the search on a grid for the finder's agent, see `use` for the errors."""
         new_grid: NavGrid
         if isinstance(grid, str | os.PathLike):
             new_grid = resolve("navbake.formats.navgrid:read_navgrid")(grid)
@@ -151,8 +174,7 @@ class PathFinder:
                 value=new_grid,
                 expected=expected,
             )
-        self._search = Search(new_grid, cut_corners=self._cut_corners, agent=self._agent)
-        self.grid = self._search.grid
+        return Search(new_grid, cut_corners=self._cut_corners, agent=self._agent)
 
     if not TYPE_CHECKING:  # so that type checkers report names that don't exist
 

@@ -266,6 +266,23 @@ def test_a_grid_that_stays_inflated_for_more_says_so(recwarn):
     assert len(recwarn) == 1
 
 
+def test_a_finder_says_where_a_new_grid_lacks_its_inflation(recwarn):
+    level = level_of("0000#0000")
+    level.metadata = {**level.metadata, "sceneId": "hall", "agentRadius": 0.05}
+    finder = navbake.PathFinder(level.inflate(0.16))
+    finder.use(level.inflate(0.06))  # that was meant
+    finder.use(level)  # a radius of 0.06 m became the baked one
+    (warning,) = recwarn
+    expected = "'hall' isn't inflated: the finder's radius was 0.06 m and is now 0.05 m. Inflate"
+    assert (warning.filename, expected in str(warning.message)) == (__file__, True)
+    assert warning.category is navbake.InflationWarning
+    assert finder.grid is level
+    finder.use(level)
+    by_agent = navbake.PathFinder(level, agent=navbake.Agent("robot", radius=0.16))
+    by_agent.use(level)
+    assert by_agent.grid.radius == 0.16 and len(recwarn) == 1
+
+
 def test_levels_share_the_metadata_of_the_whole():
     grid = stack(level_of("00", "00"), level_of("00", "00"))
     grid.levels[1].metadata = {"sceneId": "attic", **AGENT}
