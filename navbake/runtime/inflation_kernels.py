@@ -224,8 +224,11 @@ def block_by_floors(
        occupied, or it is itself; otherwise it becomes free.
     2. Cells near floors that are more than a step higher are blocked, and cells near drops, unless
        a slope leads there. A higher floor of another level blocks only if it is above the agent's
-       floor by less than the agent's height and a slab's thickness. Patches of cells whose floors
-       differ little are skipped.
+       floor by less than the agent's height and a slab's thickness. A higher floor of the agent's
+       own level blocks at any height, unless another level has a floor under it within a step of
+       the agent's, as where a flight goes on under the next one. Then it blocks only up to a step
+       more than another level's would: the cells under it were found to be free for an agent whose
+       head is up to a step lower. Patches of cells whose floors differ little are skipped.
 
     Args:
         stack: `LevelStack`.
@@ -302,7 +305,13 @@ def block_by_floors(
                     z = floor[level, agent_row, agent_col]
                     for k in range(num_levels if is_too_high and highest_z - z > max_step else 0):
                         rise = floor[k, row, col] - z
-                        if max_step < rise and (k == level or rise < max_blocking_rise):
+                        is_in_the_way = rise < max_blocking_rise
+                        if k == level:
+                            is_in_the_way = rise < max_blocking_rise + max_step
+                            is_in_the_way = is_in_the_way or not _goes_on_below(
+                                floor, level, z, row, col, max_step, height_tolerance
+                            )
+                        if max_step < rise and is_in_the_way:
                             is_blocked[agent_row, agent_col] |= not has_slopes or not _is_slope(
                                 floor,
                                 slope_bits,
@@ -333,6 +342,20 @@ def block_by_floors(
                         is_blocked[row, col] = _is_drop(
                             floor, slope_bits, max_step, level, row, col, to_row, to_col
                         )
+
+
+@subkernel
+def _goes_on_below(floor, level, floor_z, row, col, max_step, height_tolerance):
+    """Whether another level has a floor in a cell, within a step of the floor at a height.
+
+    Its floor must also be near enough for its occupied cells to count for an agent at this height:
+    see `_is_occupied_at_height`, by which those of the agent's own level don't count there.
+    """
+    for k in range(floor.shape[0]):
+        difference = abs(floor[k, row, col] - floor_z)
+        if k != level and difference <= max_step and difference < height_tolerance:
+            return True
+    return False
 
 
 @subkernel

@@ -7,8 +7,11 @@ The agent is a disc whose centre is on a cell's centre. The rules:
   replaces the baked one, and a cell that only the baked disc blocked may become free.
 - Higher floors: no floor in the disc may be more than a step above the agent's floor. So a ledge
   blocks the agents below it. The next-but-one tread of a stair blocks an agent whose disc overlaps
-  it. Files without ``solid`` have an occupancy that already includes this for the baked radius;
-  there, the rule applies to larger radii only.
+  it. Another level's floor blocks only if it is less than the agent's height and a slab's thickness
+  above the agent's floor. So does a floor of the agent's own level, for a step more, where another
+  level has a floor under it within a step of the agent's: a stair is not closed by the next flight
+  over it. Files without ``solid`` have an occupancy that already includes this for the baked
+  radius; there, the rule applies to larger radii only.
 - Lower floors: no floor in the disc may be more than a step below the agent's floor, unless
   `ledges` is ``ignore``. Where several levels have a floor in a cell, the highest one that isn't
   more than a step above the agent's floor decides. So for an agent on a gallery, the room under it

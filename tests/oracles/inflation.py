@@ -99,8 +99,9 @@ def _is_hit(known, number, reached, floor, radius) -> bool:
         own_counts = not others or abs(own_floor - floor) < HEIGHT - STEP
         if own_occupied and own_counts:
             return True
+        goes_on = any(abs(other_floor - floor) <= STEP + 1e-5 for other_floor, _, _ in others)
         if radius > BAKED and any(
-            _is_in_the_way(cells.get(there, NOTHING)[0] - floor, i == number)
+            _is_in_the_way(cells.get(there, NOTHING)[0] - floor, i == number, goes_on)
             for i, cells in enumerate(known)
         ):
             return True
@@ -117,8 +118,12 @@ def _hangs_over(known, reached, floor) -> bool:
     return False
 
 
-def _is_in_the_way(rise: float, is_own: bool) -> bool:
-    return rise > STEP + 1e-5 and (is_own or rise < HEIGHT + SLAB)
+def _is_in_the_way(rise: float, is_own: bool, goes_on_below: bool) -> bool:
+    if is_own:
+        room = HEIGHT + SLAB + STEP + 1e-5 if goes_on_below else math.inf
+    else:
+        room = HEIGHT + SLAB
+    return STEP + 1e-5 < rise < room
 
 
 def refine(level, radius: float, clearance: float) -> np.ndarray:

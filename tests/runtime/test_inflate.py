@@ -16,6 +16,7 @@ from level_maps import AGENT, level_of, make_level, shown, stack, stairs
 from map_grids import sample
 from navbake.errors import QueryError
 from navbake.formats.navgrid import dumps_navgrid
+from navbake.navgrid.grid import MultiLevelGrid
 from navbake.navgrid.islands import find_islands
 from navbake.navgrid.user_data import UserData
 from navbake.runtime import inflation as inflation_module
@@ -213,6 +214,75 @@ def test_what_is_under_the_landing_is_not_in_the_way_on_the_stair():
     assert lower.free[2, 8]
     alone = level_of("0" * 9 + "#" * 3).inflate(0.12)
     assert not alone.free[0, 8]
+
+
+def flights_over_each_other(lower_floor: float, next_flight: float, occupied=()) -> MultiLevelGrid:
+    """A flight goes on from the lower level to the upper one, halfway, under the next flight.
+
+    Args:
+        lower_floor: the tread of the lower level where it ends [m].
+        next_flight: the upper level's floor over that tread [m].
+        occupied: columns of the lower level that are occupied.
+    """
+    lower = level_of(*["0" * 12] * 5)
+    lower.attributes["floorHeight"][:, :6] = lower_floor
+    lower.attributes["occupancy"][:, list(occupied)] = 1
+    lower.weights = np.where(lower.occupancy == 0, 1.0, np.inf)
+    upper = level_of(*["0" * 12] * 5)
+    upper.attributes["floorHeight"][:, :6] = next_flight
+    upper.attributes["floorHeight"][:, 6:] = 1.2
+    return stack(lower, upper)
+
+
+@pytest.mark.parametrize("ledges", ["avoid", "ignore"])
+def test_a_flight_that_changes_its_level_goes_on_under_the_next_flight(ledges):
+    grid = flights_over_each_other(1.0, 4.0)
+    lower, upper = grid.inflate(0.16, ledges=ledges).levels
+    assert shown(lower)[2] == "......######"  # the ground under the upper treads is too low
+    assert shown(upper)[2][6:] == "......"
+    low = flights_over_each_other(1.0, 1.2 + 1.14 + 0.25 + 0.29)  # leaves no step and slab
+    assert shown(low.inflate(0.16, ledges=ledges).levels[1])[2][6:] == "##...."
+    high = flights_over_each_other(1.0, 1.2 + 1.14 + 0.25 + 0.31)
+    assert shown(high.inflate(0.16, ledges=ledges).levels[1])[2][6:] == "......"
+    # no tread of the flight is a step lower: the next one may be solid down to any
+    gap = flights_over_each_other(0.9, 4.0)
+    assert shown(gap.inflate(0.16, ledges=ledges).levels[1])[2][6:] == "##...."
+
+
+def test_what_stands_on_the_lower_flight_is_in_the_way_under_the_next_one():
+    grid = flights_over_each_other(1.0, 4.0, occupied=[4])
+    assert shown(grid.inflate(0.16).levels[1])[2][6:] == "#....."
+    grid = flights_over_each_other(1.0, 4.0)
+    on_next_flight = grid.levels[1]
+    on_next_flight.attributes["occupancy"][:, 4] = 1
+    on_next_flight.weights = np.where(on_next_flight.occupancy == 0, 1.0, np.inf)
+    assert shown(grid.inflate(0.16).levels[1])[2][6:] == "......"
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_flights_over_each_other_see_each_other_as_the_rules_say(seed):
+    rng = np.random.default_rng(seed)
+    num_levels = 3
+    shape = (int(rng.integers(4, 8)), int(rng.integers(6, 12)))
+    storey_height = rng.choice([1.5, 1.8, 2.1, 2.8])
+    tread_width = int(rng.integers(1, 4))
+    tread_z = np.arange(shape[1]) // tread_width * rng.choice([0.1, 0.2, 0.3])
+    storeys = np.arange(num_levels)[:, None, None] * storey_height
+    floors = (
+        storeys + tread_z + rng.choice([0, 0.1, 0.6], (num_levels, *shape), p=[0.9, 0.05, 0.05])
+    )
+    floors[rng.random(floors.shape) < 0.05] = np.nan
+    # beyond a column, each flight is on the next level, and the uppermost one on the lowest
+    seam = int(rng.integers(1, shape[1]))
+    floors[:, :, seam:] = np.roll(floors, 1, axis=0)[:, :, seam:]
+    levels = [make_level((rng.random(shape) < 0.03) | np.isnan(floor), floor) for floor in floors]
+    grid = stack(*levels)
+    radius = rng.uniform(0.05, 0.35)
+    for ledges in ("avoid", "ignore"):
+        expected = inflation.stacked_free(grid, radius, 5, ledges)
+        inflated = grid.inflate(radius, ledges=ledges)
+        for level, free in zip(inflated.levels, expected, strict=True):
+            np.testing.assert_array_equal(level.free, free)
 
 
 def test_levels_off_the_others_lattice_are_looked_at_alone():

@@ -124,6 +124,70 @@ def test_the_house_stays_one_over_its_stairs(radius):
     assert any((below == k).sum() > 300 and (above == k).sum() > 300 for k in (1, 2, 3))
 
 
+def slab(x_min: float, x_max: float, y_min: float, y_max: float, thickness: float, top: float):
+    """A box that lies flat, by its edges and its top [m]."""
+    size = ((x_max - x_min) / 2, (y_max - y_min) / 2, thickness / 2)
+    return Thing("box", size, ((x_min + x_max) / 2, (y_min + y_max) / 2, top - thickness / 2))
+
+
+def open_stairs(num_storeys: int, thickness: float) -> list[Thing]:
+    """Storeys with a straight flight from each to the next, of thin treads, all over each other."""
+    storey_height, num_treads, tread = 3.0, 15, 0.3
+    first, last = 1.2, 1.2 + (num_treads - 1) * tread
+    end = last + 1.2
+    scene = [slab(0.0, end, 0.0, 2.4, 0.2, 0.0)]
+    for storey in range(1, num_storeys):
+        z = storey * storey_height
+        for k in range(1, num_treads):
+            top = z - storey_height + k * storey_height / num_treads
+            x = first + (k - 1) * tread
+            scene.append(slab(x, x + tread, 0.0, 1.2, thickness, top))
+        scene.append(slab(0.0, end, 1.2, 2.4, 0.2, z))
+        scene.append(slab(last, end, 0.0, 1.2, 0.2, z))
+        scene.append(slab(0.0, first, 0.0, 1.2, 0.2, z))
+    return scene
+
+
+def dog_leg_stairs(num_storeys: int, thickness: float) -> list[Thing]:
+    """Storeys with two flights and a landing from each to the next, all over each other."""
+    storey_height, num_treads, tread = 3.0, 8, 0.28
+    first, last = 1.4, 1.4 + num_treads * tread
+    rise = storey_height / (2 * num_treads)
+    scene = [slab(0.0, last + 1.2, 0.0, 3.4, 0.2, 0.0)]
+    for storey in range(1, num_storeys):
+        z = (storey - 1) * storey_height
+        for k in range(num_treads):
+            x = first + k * tread
+            scene.append(slab(x, x + tread, 0.0, 1.1, thickness, z + (k + 1) * rise))
+        middle = z + num_treads * rise
+        scene.append(slab(last, last + 1.2, 0.0, 2.2, 0.15, middle))
+        for k in range(num_treads - 1):
+            x = last - k * tread
+            scene.append(slab(x - tread, x, 1.1, 2.2, thickness, middle + (k + 1) * rise))
+        scene.append(slab(0.0, last + 1.2, 2.2, 3.4, 0.2, z + storey_height))
+        scene.append(slab(0.0, first + tread, 0.0, 2.2, 0.2, z + storey_height))
+    return scene
+
+
+@pytest.mark.parametrize("num_storeys", [2, 3, 4])
+@pytest.mark.parametrize(
+    ("make_stairs", "y", "max_radius"), [(open_stairs, 1.8, 0.35), (dog_leg_stairs, 2.8, 0.25)]
+)
+def test_open_stairs_over_each_other_are_open_in_any_number_of_storeys(
+    make_stairs, y, max_radius, num_storeys
+):
+    scene = make_stairs(num_storeys, 0.05)
+    grid = bake(scene, 0.1)
+    assert len(grid.levels) == num_storeys
+    start, goal = (0.7, y, 0.0), (0.7, y, (num_storeys - 1) * 3.0)
+    passage = navbake.PathFinder(grid).max_radius(start, goal)
+    assert passage.radius == pytest.approx(max_radius, abs=1e-6)
+    for radius in (0.1, 0.2):
+        inflated = grid.inflate(radius)
+        assert navbake.PathFinder(inflated).find_path(start, goal) is not None
+        assert not hits(scene, inflated, radius)
+
+
 UPPER_FLOOR = """
 <geom name="upper" type="box" size="1.0 1.5 0.1" pos="1.0 0 2.5"/>
 """
