@@ -77,6 +77,6 @@ def test_where_a_bare_name_is_refused_its_settings_are_named(tmp_path, monkeypat
     status, _, err = run_command(capsys, "init", "house")
     assert status == 1 and "`navbake samples house` copies the sample" in err
     status, _, err = run_command(capsys, "batch", "house", "-o", "out")
-    assert status == 1 and f"that name are {navbake.samples.path('house')}" in err
+    assert status == 1 and f"the settings of the sample are {navbake.samples.path('house')}" in err
     Path("house.yaml").write_text("scene: {path: mine.xml}")
-    assert "that name are house.yaml" in run_command(capsys, "batch", "house", "-o", "out")[2]
+    assert "did you mean house.yaml?" in run_command(capsys, "batch", "house", "-o", "out")[2]
