@@ -74,6 +74,11 @@ def find_similar_names(name: object, candidates: Iterable[str], max_names: int =
     return [original_by_folded[candidate] for candidate in near_names][:max_names]
 
 
+def append_hint(message: str, hint: str) -> str:
+    """Return a message with a hint after it; the message alone if the hint is ""."""
+    return f"{message}: {hint}" if hint else message
+
+
 def suggest(
     name: object, candidates: Iterable[str], max_listed: int = MAX_LISTED, owner: str = "it"
 ) -> str:

@@ -31,6 +31,7 @@ from navbake.config.settings import (
 from navbake.errors import ConfigError, shorten
 from navbake.formats.scene_files import SCENE_SUFFIXES
 from navbake.formats.source import import_extra, unpack
+from navbake.known_names import append_hint
 from navbake.types import Json
 from navbake.yaml_text import apply_overrides, decode_yaml, split_override_key
 
@@ -215,9 +216,7 @@ def _list_scenes_of(source: str, columns: Mapping[str, str]) -> Iterator[Job]:
         sample_path = str(samples.find(source))
         if not hint and sample_path != source:
             hint = f"the settings of the sample are {sample_path}"
-        message = f"{EXPECTED_SCENE_TEXT} {source}: there is no such file"
-        if hint:
-            message += f": {hint}"
+        message = append_hint(f"{EXPECTED_SCENE_TEXT} {source}: there is no such file", hint)
         raise ConfigError(message, hint=hint or None)
     if _list_ending(shown_source) in LIST_SUFFIXES:
         yield from _read_list(source, columns)

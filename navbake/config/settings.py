@@ -59,6 +59,7 @@ from navbake.errors import ConfigError
 from navbake.files import can_be_path, hint_at_file, readable_stem
 from navbake.formats.scene_files import BUILDING_SUFFIXES, SCENE_SUFFIXES, scene_suffix
 from navbake.formats.shapes import read_room_outlines
+from navbake.known_names import append_hint
 from navbake.types import Json, JsonValue
 from navbake.yaml_text import apply_overrides, read_yaml
 
@@ -551,9 +552,7 @@ def read_settings(path: Path) -> JsonValue:
     """
     if not os.path.lexists(path):
         hint = hint_at_file(path, (*YAML_SUFFIXES, *SCENE_SUFFIXES))
-        message = f"no such file: {path}"
-        if hint:
-            message += f": {hint}"
+        message = append_hint(f"no such file: {path}", hint)
         raise ConfigError(message, path=str(path), hint=hint or None)
     return read_yaml(path)
 

@@ -22,6 +22,7 @@ from navbake.config.settings import (
 from navbake.errors import ConfigError, SceneError
 from navbake.files import hint_at_file, write_whole
 from navbake.formats.scene_files import SCENE_SUFFIXES
+from navbake.known_names import append_hint
 from navbake.yaml_text import parse_yaml
 
 SCHEMA_NAME = "navbake.schema.json"  # where settings look for their JSON Schema, beside them
@@ -113,9 +114,7 @@ def make_template(scene: Path, folder: Path) -> tuple[str, str]:
     scene_id = load_config(scene).scene.id
     if not os.path.isfile(scene):
         hint = hint_at_file(scene, SCENE_SUFFIXES)
-        message = f"no such file: {scene}"
-        if hint:
-            message += f": {hint}"
+        message = append_hint(f"no such file: {scene}", hint)
         raise SceneError(message, path=str(scene), hint=hint or None)
     scene = scene.resolve()
     with contextlib.suppress(ValueError):  # Windows has no relative path to another drive

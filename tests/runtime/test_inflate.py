@@ -132,6 +132,15 @@ def test_holes_that_are_not_occupied_count_as_in_the_original():
 # Several levels
 
 
+def assert_free_as_the_oracle_says(grid: MultiLevelGrid, radius: float, extent: int) -> None:
+    """Compare the free cells of all levels, with ledges and without; the oracle has `extent`."""
+    for ledges in ("avoid", "ignore"):
+        expected = inflation.stacked_free(grid, radius, extent, ledges)
+        inflated = grid.inflate(radius, ledges=ledges)
+        for level, free in zip(inflated.levels, expected, strict=True):
+            np.testing.assert_array_equal(level.free, free)
+
+
 @pytest.mark.parametrize("seed", range(24))
 def test_levels_see_each_other_as_the_rules_say(seed):
     rng = np.random.default_rng(seed)
@@ -143,11 +152,7 @@ def test_levels_see_each_other_as_the_rules_say(seed):
         levels.append(make_level(occupied, floor, *rng.integers(-4, 5, 2)))
     grid = stack(*levels)
     radius = rng.uniform(0, 0.45)
-    for ledges in ("avoid", "ignore"):
-        expected = inflation.stacked_free(grid, radius, 6, ledges)
-        inflated = grid.inflate(radius, ledges=ledges)
-        for level, free in zip(inflated.levels, expected, strict=True):
-            np.testing.assert_array_equal(level.free, free)
+    assert_free_as_the_oracle_says(grid, radius, 6)
 
 
 def test_a_gallery_ends_at_its_edge_and_the_hall_below_is_no_drop():
@@ -278,11 +283,7 @@ def test_flights_over_each_other_see_each_other_as_the_rules_say(seed):
     levels = [make_level((rng.random(shape) < 0.03) | np.isnan(floor), floor) for floor in floors]
     grid = stack(*levels)
     radius = rng.uniform(0.05, 0.35)
-    for ledges in ("avoid", "ignore"):
-        expected = inflation.stacked_free(grid, radius, 5, ledges)
-        inflated = grid.inflate(radius, ledges=ledges)
-        for level, free in zip(inflated.levels, expected, strict=True):
-            np.testing.assert_array_equal(level.free, free)
+    assert_free_as_the_oracle_says(grid, radius, 5)
 
 
 def test_levels_off_the_others_lattice_are_looked_at_alone():

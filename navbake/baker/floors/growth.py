@@ -79,7 +79,7 @@ def select_growing_surfaces(
             # "wrap", as -1 stands for the last entry
             np.take(level_of_number, number, mode="wrap", out=level)
             other_level = np.take(level_without_floor, component_of_surface[piece], mode="wrap")
-            other_level[surfaces.flags[piece] == RIDGE_FLAGS] = BARRIER  # ridges
+            other_level[surfaces.flags[piece] == RIDGE_FLAGS] = BARRIER
             np.copyto(level, other_level, where=level == NO_LEVEL)
 
     run_in_chunks(write_levels, len(surfaces.z), min_chunk_size=LEAST_CELLS)

@@ -320,13 +320,19 @@ def find_orientations(sample: TriangleSample) -> tuple[list[Orientation], bool]:
         )
     orientations.sort(key=_make_sort_key)
     best_orientation = orientations[0]
-    other_areas = [MIN_CLEAR_RATIO * orientation.furniture_area for orientation in orientations[1:]]
-    min_furniture_area = max([MIN_CLEAR_SHARE * best_orientation.floor_area, *other_areas])
-    is_clear = (
-        best_orientation.floor_area >= MIN_FLOOR_AREA
-        and best_orientation.furniture_area > min_furniture_area
+    is_clear = _is_furnished(best_orientation) and all(
+        best_orientation.furniture_area > MIN_CLEAR_RATIO * orientation.furniture_area
+        for orientation in orientations[1:]
     )
     return orientations, is_clear
+
+
+def _is_furnished(orientation: Orientation) -> bool:
+    """Return whether a direction has a large floor, and much furniture on its floors."""
+    return (
+        orientation.floor_area >= MIN_FLOOR_AREA
+        and orientation.furniture_area > MIN_CLEAR_SHARE * orientation.floor_area
+    )
 
 
 def _score(orientation: Orientation) -> float:
@@ -347,10 +353,6 @@ def _is_y_likelier(orientations: list[Orientation]) -> bool:
     """
     best_orientation = orientations[0]
     is_along_y = abs(best_orientation.direction[1]) > MIN_FACING_COSINE
-    is_furnished = (
-        best_orientation.floor_area >= MIN_FLOOR_AREA
-        and best_orientation.furniture_area > MIN_CLEAR_SHARE * best_orientation.floor_area
-    )
     upright_score = max(
         (
             _score(orientation)
@@ -360,7 +362,7 @@ def _is_y_likelier(orientations: list[Orientation]) -> bool:
         default=0.0,
     )
     is_likelier = _score(best_orientation) > MIN_HINT_RATIO * upright_score
-    return bool(is_along_y and is_furnished and is_likelier)
+    return bool(is_along_y and is_likelier and _is_furnished(best_orientation))
 
 
 def sample_triangles(meshes: Collection[NamedMesh]) -> TriangleSample:

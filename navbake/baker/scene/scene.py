@@ -48,7 +48,7 @@ from navbake.errors import SceneError
 from navbake.files import hint_at_file
 from navbake.formats.scene_files import SCENE_SUFFIXES, SDF_SUFFIXES, STAGE_SUFFIXES, XML_SUFFIXES
 from navbake.formats.xml_files import find_root_tag
-from navbake.known_names import find_similar_names
+from navbake.known_names import append_hint, find_similar_names
 from navbake.navgrid.user_data import without_garbage_collection
 from navbake.threads import run_beside
 from navbake.types import Bool, Float, Int, Int32
@@ -321,9 +321,9 @@ def _check_scene_exists(config: BakeConfig) -> None:
     message = f"no scene file at {path}"
     if config.settings_file:
         message += f" (`scene.path` in {config.settings_file})"
-    if hint:
-        message += f": {hint}"
-    raise SceneError(message, path=str(path), key="scene.path", hint=hint or None)
+    raise SceneError(
+        append_hint(message, hint), path=str(path), key="scene.path", hint=hint or None
+    )
 
 
 def _count_geoms(
