@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from navbake.baker.core.area_test import AreaTest, is_large_enough, make_area_test
 from navbake.baker.core.arrays import HeightRange
-from navbake.baker.core.blocks import LEAST_BLOCKS, Blocks, list_rows
+from navbake.baker.core.blocks import LEAST_BLOCKS, list_rows
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors import level_kernels as kernels
 from navbake.baker.floors.component_kernels import HEIGHT_BIN, JoinRule, cross_tabulate
@@ -62,8 +62,9 @@ CONFIGURED_GROUND_TOLERANCE = 0.02
 # The ground of an added level is lowered by at most this, to include surfaces of the same regions:
 # a scanned floor is this uneven [m]
 UNEVENNESS = 0.005
-# With more than MANY_LEVELS levels, the next ground is first searched for up to this height above
-# the last one, as levels are rarely higher; this saves time in towers [m]
+# With more than MANY_LEVELS levels, surfaces below the last ground are left out, and the next
+# ground is first searched for up to this height above the last one, as levels are rarely higher;
+# this saves time in towers [m]
 USUAL_LEVEL_HEIGHT = 4.0
 MANY_LEVELS = 2
 # A tread, a landing or a piece of a ramp belongs to a stair if the floors that it leads to, up and
@@ -193,12 +194,14 @@ class HeightHistogram(NamedTuple):
             HEIGHT_BIN, int64.
         num_surfaces: how many surfaces lie in the bin, int64.
         lowest_z: the lowest height of these surfaces, float64 [m].
+        block: id of the block of cells that has these surfaces, int64.
     """
 
     band: Int
     height_bin: Int
     num_surfaces: Int
     lowest_z: Float
+    block: Int
 
     def select(self, is_selected: Bool) -> HeightHistogram:
         """Return the entries that a mask of shape (n,) marks."""
@@ -217,7 +220,7 @@ class AssignmentInput(NamedTuple):
     Attributes:
         regions: all regions.
         candidates: the surfaces to assign (the candidates), and which of these belong to stairs.
-        is_stacked: whether any candidate lies above another one.
+        stacked_blocks: ids of the blocks of cells with a candidate above another one, ascending.
         tolerance: how far below the ground of a level its floors may lie [m].
         agent: the agent, of which the step and slope are used.
         settings: the settings of `floors`; `min_area` and `shrink` are used.
@@ -225,7 +228,7 @@ class AssignmentInput(NamedTuple):
 
     regions: Regions
     candidates: Candidates
-    is_stacked: bool
+    stacked_blocks: Int
     tolerance: float
     agent: AgentSettings
     settings: FloorSettings
@@ -261,10 +264,10 @@ def assign_levels(
         group_of_surface,
         has_stacked_candidates,
     )
-    is_stacked = bool(has_stacked_candidates.any())
+    stacked_blocks = np.flatnonzero(has_stacked_candidates)
     max_step = agent.traversable_floor_height
     max_rise = (regions.highest_z - regions.lowest_z)[is_floor].max(initial=0.0)
-    if not is_stacked:
+    if not len(stacked_blocks):
         # stairs matter only where surfaces lie above each other
         candidates = Candidates(group_of_surface, NO_GROUPS, np.empty(0, np.bool_))
     elif max_rise <= min(max_step, HEIGHT_BIN):
@@ -279,7 +282,7 @@ def assign_levels(
     assignment_input = AssignmentInput(
         regions=regions,
         candidates=candidates,
-        is_stacked=is_stacked,
+        stacked_blocks=stacked_blocks,
         tolerance=CONFIGURED_GROUND_TOLERANCE if level_settings else LIMIT_SLACK,
         agent=agent,
         settings=settings,
@@ -408,22 +411,26 @@ def _find_grounds(assignment_input: AssignmentInput) -> list[float]:
     area_test = make_area_test(assignment_input.regions.lattice, assignment_input.settings)
     surfaces = assignment_input.regions.surfaces
     candidates = assignment_input.candidates
-    ground = _find_next_ground(surfaces, candidates, area_test, ground=-np.inf, half_step=half_step)
+    blocks = np.arange(assignment_input.regions.blocks.num_blocks)
+    ground = _find_next_ground(
+        surfaces, candidates, area_test, blocks, ground=-np.inf, half_step=half_step
+    )
     if ground is None:
         # nothing is large enough: take the most common height of the lowest surfaces
         selection = HeightSelection(-np.inf, LOWEST_SURFACES, half_step)
-        histogram = _count_heights(surfaces, candidates, selection, NO_SHRINKING)
+        histogram = _count_heights(surfaces, candidates, selection, NO_SHRINKING, blocks)
         ground = histogram.find_most_common_height()
     grounds = [ground]
-    while assignment_input.is_stacked:
-        surfaces = _skip_surfaces_below(surfaces, grounds[-1] - LIMIT_SLACK)
+    while len(assignment_input.stacked_blocks):
         height_limits = [np.inf]
         if len(grounds) > MANY_LEVELS:
+            surfaces = _skip_surfaces_below(surfaces, grounds[-1] - LIMIT_SLACK)
             height_limits = [grounds[-1] + USUAL_LEVEL_HEIGHT, np.inf]
         ground = _find_next_ground(
             surfaces,
             candidates,
             area_test,
+            assignment_input.stacked_blocks,
             ground=grounds[-1],
             half_step=half_step,
             height_limits=height_limits,
@@ -454,6 +461,7 @@ def _find_next_ground(
     surfaces: Surfaces,
     candidates: Candidates,
     area_test: AreaTest,
+    blocks: Int,
     ground: float,
     half_step: float,
     height_limits: Sequence[float] = (np.inf,),
@@ -467,6 +475,7 @@ def _find_next_ground(
         surfaces: the surfaces of all cells; those below the ground may be left out.
         candidates: which of them are to be assigned, and which belong to stairs.
         area_test: the test of large floors, by `floors.min_area` and `floors.shrink`.
+        blocks: ids of the blocks of cells that may have such floors, ascending.
         ground: the ground of the level [m]; -inf to search the lowest surfaces of all columns.
         half_step: half of the highest step [m].
         height_limits: heights, ascending. Only ranges below the first height are searched; if none
@@ -478,7 +487,7 @@ def _find_next_ground(
     for top in height_limits:
         # before shrinking, to skip bands with too few surfaces
         selection = HeightSelection(ground, ALL_BANDS, half_step, top)
-        histogram = _count_heights(surfaces, candidates, selection, NO_SHRINKING)
+        histogram = _count_heights(surfaces, candidates, selection, NO_SHRINKING, blocks)
         bands, band_index = np.unique(histogram.band, return_inverse=True)
         num_in_band = np.bincount(band_index, histogram.num_surfaces).astype(np.int64)
         num_surfaces_by_band = Counter(dict(zip(bands.tolist(), num_in_band.tolist(), strict=True)))
@@ -497,18 +506,24 @@ def _find_next_ground(
                 continue
             # stairs and thresholds are too narrow to remain after shrinking
             selection = HeightSelection(ground, band, half_step, end_height)
-            remaining_histogram = _count_heights(surfaces, candidates, selection, area_test)
+            histogram_of_bands = histogram.select(np.isin(histogram.band, [band, band + 1]))
+            remaining_histogram = _count_heights(
+                surfaces, candidates, selection, area_test, np.unique(histogram_of_bands.block)
+            )
             if remaining_histogram.num_surfaces.sum() < area_test.min_cells:
                 continue
             if len(remaining_histogram.num_surfaces):
                 return remaining_histogram.find_most_common_height()
-            is_in_bands = np.isin(histogram.band, [band, band + 1])
-            return histogram.select(is_in_bands).find_most_common_height()
+            return histogram_of_bands.find_most_common_height()
     return None
 
 
 def _count_heights(
-    surfaces: Surfaces, candidates: Candidates, selection: HeightSelection, area_test: AreaTest
+    surfaces: Surfaces,
+    candidates: Candidates,
+    selection: HeightSelection,
+    area_test: AreaTest,
+    blocks: Int,
 ) -> HeightHistogram:
     """Count how many surfaces of floors lie at each height, see `count_heights`.
 
@@ -517,10 +532,11 @@ def _count_heights(
         candidates: which of them are to be assigned, and which belong to stairs.
         selection: which of the floors are counted.
         area_test: the disc by which their cells are shrunk before they are counted.
+        blocks: ids of the blocks of cells whose floors are counted, ascending.
     """
-    _, (histogram_rows, lowest_z) = list_rows(
+    rows_of_block, (histogram_rows, lowest_z) = list_rows(
         kernels.count_heights,
-        np.arange(Blocks(surfaces.lattice).num_blocks),
+        blocks,
         NO_HISTOGRAM_ROWS,
         surfaces,
         candidates,
@@ -533,6 +549,7 @@ def _count_heights(
         height_bin=histogram_rows[:, 1],
         num_surfaces=histogram_rows[:, 3],
         lowest_z=lowest_z,
+        block=np.repeat(blocks, rows_of_block),
     )
 
 
