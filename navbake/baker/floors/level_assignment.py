@@ -803,9 +803,11 @@ def _are_dispensable(
 
     In each region they must be small. Stairs are small if they are nowhere wider than
     `floors.shrink`; floors (if `surface_levels.skips_floors`), if they don't keep
-    `floors.min_area` when shrunk by `floors.shrink`. And leaving them out must not cut a floor in
-    two: their regions must not get more large walkable areas than they have with all surfaces. In a
-    walkable area, an agent can walk from each surface to each other one.
+    `floors.min_area` when shrunk: by `floors.shrink` where they make room for stairs in their
+    columns, by half of it where they don't, since a storey among walls and furniture is narrow,
+    too. And leaving them out must not cut a floor in two: their regions must not get more large
+    walkable areas than they have with all surfaces. In a walkable area, an agent can walk from each
+    surface to each other one.
 
     Args:
         assignment_input: the surfaces to assign.
@@ -819,15 +821,20 @@ def _are_dispensable(
         return True
     lattice = assignment_input.regions.lattice
     settings = assignment_input.settings
-    size_limits = settings
-    if not surface_levels.skips_floors:
-        stair_limits = {"min_area": lattice.cell_size**2, "shrink": settings.shrink / 2}
-        size_limits = settings.model_copy(update=stair_limits)
+    narrow_limits = settings.model_copy(update={"shrink": settings.shrink / 2})
+    stair_limits = narrow_limits.model_copy(update={"min_area": lattice.cell_size**2})
+    has_stairs = _find_cells_with_stairs(assignment_input)
     for region_surfaces in regions_without_level:
         has_no_level = surface_levels.level_of_surface[region_surfaces.surface_id] <= NO_FREE_LEVEL
         is_left_out = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
         is_left_out[region_surfaces.cell[has_no_level]] = True
-        if is_large_enough(lattice, size_limits, is_left_out):
+        if not surface_levels.skips_floors:
+            is_large = is_large_enough(lattice, stair_limits, is_left_out)
+        else:
+            is_large = is_large_enough(
+                lattice, settings, is_left_out & has_stairs
+            ) or is_large_enough(lattice, narrow_limits, is_left_out & ~has_stairs)
+        if is_large:
             return False
     group_of_surface = assignment_input.candidates.group_of_surface
     group_of_remaining_surface = np.where(
@@ -842,6 +849,17 @@ def _are_dispensable(
     return num_remaining_areas <= _count_large_walkable_areas(
         walkable_areas, regions_without_level, min_cells
     )
+
+
+def _find_cells_with_stairs(assignment_input: AssignmentInput) -> Bool:
+    """Mark the cells in whose columns are surfaces of stairs to assign, shape (cells,)."""
+    surfaces = assignment_input.regions.surfaces
+    candidates = assignment_input.candidates
+    is_stair = candidates.is_stair[candidates.component_of_surface]
+    is_assigned_stair = is_stair & (candidates.group_of_surface >= 0)
+    num_stairs_before = np.append(0, np.cumsum(is_assigned_stair))
+    has_stairs: Bool = num_stairs_before[surfaces.end] > num_stairs_before[surfaces.first]
+    return has_stairs
 
 
 def _find_walkable_areas(

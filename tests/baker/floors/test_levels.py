@@ -186,6 +186,25 @@ def test_two_storeys_joined_by_nothing(bake):
 RISE = 3.0 / 17
 
 
+@pytest.mark.parametrize("storeys", [2, 3, 4])
+@pytest.mark.parametrize("spacing", [0.5, 0.55])
+def test_storeys_are_levels_although_none_is_wide_over_a_wide_place(bake, storeys, spacing):
+    """Only stairs may take the place of narrow floors; another storey may not.
+
+    A storey has a wide place at one end, where that above has rows of posts, and posts elsewhere.
+    """
+    heights = [round(2.7 * storey, 6) for storey in range(storeys)]
+    geoms = [box(0, 8, 0, 3, 2.7 * storeys - 0.2, 2.7 * storeys)]
+    for storey, z in enumerate(heights):
+        geoms.append(box(0, 8, 0, 3, z - 0.2, z))
+        first_x = 0.2 if storey % 2 else 2.2
+        for x in np.arange(first_x, first_x + 5.6, spacing):
+            for y in np.arange(0.2, 2.9, spacing):
+                geoms.append(box(x, x + 0.1, y, y + 0.1, z, z + 1.4))
+    grid = bake(geoms, agent={"radius": 0.05})
+    assert grounds(grid) == heights
+
+
 def test_part_of_a_storey_that_lies_a_little_lower_belongs_to_it(bake):
     """A terrace beside the house, 10 cm lower than the upper storey, and with nothing below it."""
     lower = [box(0, 10, 0, 8, -0.1, 0), *walls(0, 10, 0, 8, 0, 2.7, door=True)]
