@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.baker.columns.columns import ColumnSource, ShapeSource
+from navbake.baker.columns.columns import Columns, ColumnSource, ShapeSource, TiledShapes
 from navbake.baker.core.blocks import LEAST_BLOCKS, Blocks, RowsBuilder, list_rows
 from navbake.baker.core.clock import StageClock
+from navbake.baker.core.tiles import TILE
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.floors.levels import Floors
 from navbake.baker.geometry.extents import Extents
@@ -42,8 +43,10 @@ from navbake.baker.scene.scene import Scene
 from navbake.config.settings import AgentSettings, NameSettings
 from navbake.navgrid.lattice import Lattice
 from navbake.threads import LEAST_CELLS, run_in_chunks
-from navbake.types import Bool
+from navbake.types import Bool, Int32
 
+# The fewest cells that are checked by a call of their own: each takes several calls of numpy
+CELLS_PER_CALL = 1 << 14
 # Empty rows of `measure_blocks`
 NO_ROWS = (np.empty((0, 7), dtype=np.int64), np.empty((0, 2)))
 
@@ -59,6 +62,20 @@ class OccupantGeoms(NamedTuple):
 
     extents: Extents
     is_wall_candidate: Bool
+
+
+class CellLists(NamedTuple):
+    """The lists of the geoms in each cell of a range, of all levels.
+
+    Attributes:
+        cells: the range of cell ids.
+        geom: geom ids, with -1 at the end of each list, see `check_tiles`, int32.
+        flags: the flags of each entry of `geom`, uint8.
+    """
+
+    cells: slice
+    geom: Int32
+    flags: NDArray[np.uint8]
 
 
 class StandingCells(NamedTuple):
@@ -157,9 +174,16 @@ def find_standing_cells(
     if occupant_geoms is not None:
         occupants_builder = OccupantsBuilder(lattice, len(floors.levels), occupant_geoms.extents)
         wall_candidates = occupant_geoms.is_wall_candidate
-    for chunk in columns.row_chunks():
-        tiled_shapes = chunk.nearby_shapes or shape_source.shapes_near_rows(chunk.valid_rows)
-        first_cell, end_cell = chunk.valid_rows.cell_range(lattice)
+
+    def check_tile_rows(
+        chunk: Columns,
+        tiled_shapes: TiledShapes,
+        lists_by_tile_row: dict[int, CellLists],
+        first_tile_row: int,
+        end_tile_row: int,
+    ) -> None:
+        first_cell = first_tile_row * TILE * lattice.width
+        end_cell = min(end_tile_row * TILE * lattice.width, num_cells)
         occupancy_by_level = check_level_occupancy(
             chunk,
             tiled_shapes,
@@ -179,7 +203,30 @@ def find_standing_cells(
                     level_occupancy.occupancy.square_occupied
                 )
         if occupants_builder is not None:
-            occupants_builder.append(occupancy_by_level, end_cell / num_cells)
+            occupants_builder.write_cells(occupancy_by_level)
+            occupancy = occupancy_by_level[0].occupancy
+            lists_by_tile_row[first_tile_row] = CellLists(
+                slice(first_cell, end_cell), occupancy.geom, occupancy.flags
+            )
+
+    tile_rows_per_call = -(-CELLS_PER_CALL // (TILE * lattice.width))
+    for chunk in columns.row_chunks():
+        tiled_shapes = chunk.nearby_shapes or shape_source.shapes_near_rows(chunk.valid_rows)
+        first_cell, end_cell = chunk.valid_rows.cell_range(lattice)
+        first_tile_row = chunk.valid_rows.first // TILE
+        lists_by_tile_row = dict[int, CellLists]()
+        run_in_chunks(
+            check_tile_rows,
+            -(-chunk.valid_rows.end // TILE) - first_tile_row,
+            chunk,
+            tiled_shapes,
+            lists_by_tile_row,
+            min_chunk_size=tile_rows_per_call,
+            begin=first_tile_row,
+        )
+        if occupants_builder is not None:
+            cell_lists = [lists_by_tile_row[tile_row] for tile_row in sorted(lists_by_tile_row)]
+            occupants_builder.append(cell_lists, end_cell / num_cells)
         with clock.add_to_stage("rooms"):
             hits = chunk.hits._replace(start=chunk.start[first_cell : end_cell + 1])
             chunk_flags = flag_columns(hits, floors.levels, slice(first_cell, end_cell), agent)
@@ -216,31 +263,44 @@ class OccupantsBuilder:
             extents.top - extents.bottom + MAX_COVERING_HEIGHT, MAX_THING_HEIGHT
         )
 
-    def append(
-        self, occupancy_by_level: Sequence[LevelOccupancy], appended_fraction: float
-    ) -> None:
-        """Append the occupants of some cells.
+    def write_cells(self, occupancy_by_level: Sequence[LevelOccupancy]) -> None:
+        """Write which geoms are the floors of some cells, and where the cells' lists begin.
+
+        Several threads may write different cells at a time.
 
         Args:
-            occupancy_by_level: for each level, the cells and their lists, which are in the same
-                arrays for all levels, see `check_level_occupancy`.
-            appended_fraction: the fraction of all cells that have been appended after this call, in
-                (0, 1].
+            occupancy_by_level: for each level, the cells and their lists. The lists are in the same
+                arrays for all levels, see `check_level_occupancy`, which `append` appends.
         """
-        occupancy = occupancy_by_level[0].occupancy
-        first_entry = np.int32(self._lists_builder.num_rows)
-        self._lists_builder.append([[occupancy.geom, occupancy.flags]], appended_fraction)
         for occupants, level_occupancy in zip(self._levels, occupancy_by_level, strict=True):
             cells = level_occupancy.cells
             lists = level_occupancy.occupant_lists
             # where no geom is the floor, `floor_geom` is -1, the last entry: these bits aren't read
             is_on_floor = lists.gap_below <= self._max_gap_on_floor[lists.floor_geom]
             is_covering = lists.gap_below <= MAX_COVERING_HEIGHT + LIMIT_SLACK
-            occupants.list_start[cells] = lists.list_start + first_entry
+            occupants.list_start[cells] = lists.list_start
             occupants.floor_geom[cells] = lists.floor_geom
             occupants.floor_flags[cells] = is_on_floor * kernels.ON_FLOOR | (
                 is_covering * kernels.COVERING
             )
+
+    def append(self, cell_lists: Sequence[CellLists], appended_fraction: float) -> None:
+        """Append the lists of cells that were written.
+
+        Args:
+            cell_lists: the lists of one range of cells after the other.
+            appended_fraction: the fraction of all cells that have been appended after this call, in
+                (0, 1].
+        """
+        first_entry = self._lists_builder.num_rows
+        for cells, geom, _ in cell_lists:
+            for occupants in self._levels:
+                # cells without a floor, too: the first of the lists is empty
+                occupants.list_start[cells] += np.int32(first_entry)
+            first_entry += len(geom)
+        self._lists_builder.append(
+            [(geom, flags) for _, geom, flags in cell_lists], appended_fraction
+        )
 
     @property
     def occupants(self) -> list[LevelOccupants]:
