@@ -3,8 +3,12 @@
 That needs no columns. Triangles that face down, or that are far from the height, are left out, and
 no hits are written or sorted. A column may lack a hit at the edge of a triangle, see `hit_kernels`,
 so the ground is uncertain where such a hit would be the highest.
+
+Lines are put into the order of tiles and cells by a counting sort, so that each triangle is
+intersected only with lines in the cells under it.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -22,91 +26,116 @@ from navbake.baker.geometry.triangle_kernels import (
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int
 
+CELLS_PER_TILE = TILE * TILE
+
 
 class GroundLines(NamedTuple):
-    """Vertical lines on which ground is searched, ordered by tile, and by cell in each tile.
+    """Vertical lines on which ground is searched, in the order of tiles, and of cells in each tile.
 
     Attributes:
         points: x and y of each line, (n, 2) float64 [m].
-        cells: id of the cell that each line runs through, (n,) int64.
         z: the height near which each line's ground is, (n,) float64 [m].
-        tiles: the tiles that have lines, ascending, (m,) int64.
-        start: index of each tile's first line, then the number of lines, (m + 1,) int64.
+        rise: how far each line's ground is above its height, -inf for none, (n,) float64 [m].
+            Crossings at edges of triangles don't count.
+        edge_rise: the same of crossings at edges of triangles. If it is greater than `rise`, the
+            ground is uncertain.
+        original_index: the index of each line before the lines were sorted, (n,) int64.
+        place: room for a number for each line, (n,) int64.
+        first_tile: a tile; no line runs through a tile before it.
+        start: the index of the first line of each cell of this tile and the following ones, then
+            the number of lines, int64. Each tile has CELLS_PER_TILE cells, also at the lattice's
+            edge. Zeros before lines are sorted, with another entry at the end.
     """
 
     points: Float
-    cells: Int
     z: Float
-    tiles: Int
+    rise: Float
+    edge_rise: Float
+    original_index: Int
+    place: Int
+    first_tile: int
     start: Int
 
 
 @subkernel(**NO_REFCOUNT)
-def _find_lines_of_cells(lattice, lines, first_line, end_line, window, line_start):
-    """Find which lines of a tile run through each of its cells.
+def _sort_by_cell(lattice, points, z, lines):
+    """Sort vertical lines by tile, and by cell in each tile.
 
     Args:
         lattice: the cells, as `Lattice`.
-        lines: the lines, as `GroundLines`.
-        first_line: index of the tile's first line.
-        end_line: index past its last line.
-        window: window of the tile's cells, see `tile_window`.
-        line_start: receives the index of the first line of each cell of the tile, then `end_line`,
-            (TILE * TILE + 1,) int64. Each row has TILE cells, also in a tile at the lattice's edge.
+        points: x and y of each line, (n, 2) float64 [m].
+        z: the height near which each line's ground is, (n,) float64 [m].
+        lines: receives the lines in their order, as `GroundLines`; those outside of the lattice
+            are left out.
     """
-    line_start[:] = 0
-    for line in range(first_line, end_line):
-        row = lines.cells[line] // lattice.width - window[0]
-        col = lines.cells[line] % lattice.width - window[2]
-        line_start[row * TILE + col + 1] += 1
-    line_start[0] = first_line
-    for i in range(TILE * TILE):
-        line_start[i + 1] += line_start[i]
+    tiles_per_row = (lattice.width + TILE - 1) // TILE
+    place = lines.place  # of a line: its tile and its cell as one number
+    start = lines.start
+    for line in range(points.shape[0]):
+        row = math.floor((lattice.y_max - points[line, 1]) / lattice.cell_size)
+        col = math.floor((points[line, 0] - lattice.x_min) / lattice.cell_size)
+        place[line] = -1
+        if 0 <= row < lattice.height and 0 <= col < lattice.width:
+            tile = row // TILE * tiles_per_row + col // TILE - lines.first_tile
+            place[line] = tile * CELLS_PER_TILE + row % TILE * TILE + col % TILE
+            # two entries further on: the sums are each cell's next line while lines are put into
+            # order, and each cell's first line after that
+            start[place[line] + 2] += 1
+    for i in range(1, start.shape[0]):
+        start[i] += start[i - 1]
+    for line in range(points.shape[0]):
+        if place[line] >= 0:
+            sorted_index = start[place[line] + 1]
+            start[place[line] + 1] += 1
+            lines.original_index[sorted_index] = line
+            lines.points[sorted_index, 0] = points[line, 0]
+            lines.points[sorted_index, 1] = points[line, 1]
+            lines.z[sorted_index] = z[line]
 
 
 @subkernel(**NO_REFCOUNT)
-def _raise_ground_to_triangles(
-    lattice, facets, triangles, lines, max_rise, window, line_start, triangle_copy, rise, edge_rise
-):
+def _raise_ground_to_triangles(lattice, facets, tile_index, tile, lines, max_rise, triangle_copy):
     """Raise the ground of a tile's lines to the triangles that they cross.
 
     Args:
         lattice: the cells, as `Lattice`.
         facets: the triangles, as `Facets`.
-        triangles: indices into `facets` of the triangles over the tile.
-        lines: the lines, as `GroundLines`.
+        tile_index: the shapes over each tile, as `ShapeIndex`.
+        tile: the tile.
+        lines: the lines, as `GroundLines`, whose `rise` and `edge_rise` are raised.
         max_rise: how far ground is above or below the line's height at most [m].
-        window: window of the tile's cells, see `tile_window`.
-        line_start: the index of the first line of each cell, see `_find_lines_of_cells`.
         triangle_copy: room for a copy of a triangle.
-        rise: for each line, how far the ground is above the line's height, -inf for none, (n,) [m];
-            raised to crossings inside of triangles.
-        edge_rise: the same, raised to crossings at edges of triangles.
     """
     corners = triangle_copy.corners
     box = triangle_copy.box
-    first_line = line_start[0]
-    end_line = line_start[TILE * TILE]
+    window = tile_window(lattice, tile)
+    first_place = (tile - lines.first_tile) * CELLS_PER_TILE
     low_z = np.inf
     high_z = -np.inf
-    for line in range(first_line, end_line):
+    for line in range(lines.start[first_place], lines.start[first_place + CELLS_PER_TILE]):
         low_z = min(low_z, lines.z[line])
         high_z = max(high_z, lines.z[line])
     reach = 0.5 * lattice.cell_size + RIM_WIDTH
-    for entry in range(triangles.shape[0]):
-        triangle = triangles[entry]
+    for entry in range(tile_index.triangle_start[tile], tile_index.triangle_start[tile + 1]):
+        triangle = tile_index.triangle_indices[entry]
         if not faces_up(facets, triangle):
             continue
         copy_triangle(facets, triangle, triangle_copy)
         if box[0, 5] - low_z < -max_rise or box[0, 2] - high_z > max_rise:
             continue
         row_first, row_end, col_first, col_end = window_near_box(lattice, window, box, 0, reach)
-        if col_first >= col_end or unit_normal(corners[0], corners[1], corners[2])[2] <= 0.0:
+        if col_first >= col_end:
+            continue
+        num_lines = 0
+        for row in range(row_first, row_end):
+            row_place = first_place + (row - window[0]) * TILE - window[2]
+            num_lines += lines.start[row_place + col_end] - lines.start[row_place + col_first]
+        if num_lines == 0 or unit_normal(corners[0], corners[1], corners[2])[2] <= 0.0:
             continue
         edge_limits = find_edge_limits(corners)
         for row in range(row_first, row_end):
-            first_cell = (row - window[0]) * TILE - window[2]
-            for line in range(line_start[first_cell + col_first], line_start[first_cell + col_end]):
+            row_place = first_place + (row - window[0]) * TILE - window[2]
+            for line in range(lines.start[row_place + col_first], lines.start[row_place + col_end]):
                 x = lines.points[line, 0]
                 y = lines.points[line, 1]
                 if is_beside(box, 0, x, y):
@@ -115,49 +144,49 @@ def _raise_ground_to_triangles(
                 if crossing_kind == 0 or abs(z - lines.z[line]) > max_rise:
                     continue
                 if crossing_kind == 1:
-                    rise[line] = max(rise[line], z - lines.z[line])
+                    lines.rise[line] = max(lines.rise[line], z - lines.z[line])
                 else:
-                    edge_rise[line] = max(edge_rise[line], z - lines.z[line])
+                    lines.edge_rise[line] = max(lines.edge_rise[line], z - lines.z[line])
 
 
 @subkernel(**NO_REFCOUNT)
-def _raise_ground_to_hits(hits, num_hits, line_z, max_rise, line, rise):
+def _raise_ground_to_hits(hits, num_hits, lines, line, max_rise):
     """Raise a line's ground to those of the first `num_hits` hits that face up.
 
     Args:
         hits: hits of solids or planes, as `LineHits`.
         num_hits: how many hits there are.
-        line_z: the line's height [m].
-        max_rise: how far ground is above or below this height at most [m].
+        lines: the lines, as `GroundLines`, whose `rise` is raised.
         line: index of the line.
-        rise: for each line, how far the ground is above its height, -inf for none, (n,) [m].
+        max_rise: how far ground is above or below the line's height at most [m].
     """
     for i in range(num_hits):
-        if hits.normal[i, 2] > 0.0 and abs(hits.z[i] - line_z) <= max_rise:
-            rise[line] = max(rise[line], hits.z[i] - line_z)
+        rise = hits.z[i] - lines.z[line]
+        if hits.normal[i, 2] > 0.0 and abs(rise) <= max_rise:
+            lines.rise[line] = max(lines.rise[line], rise)
 
 
 @kernel(nogil=True)
-def raise_ground(
-    lattice, geometry, tile_index, lines, max_rise, rise, edge_rise, first_tile, end_tile
+def find_ground_rises(
+    lattice, geometry, tile_index, points, z, max_rise, lines, rise, is_uncertain
 ):
-    """Raise the ground of lines to the highest surface that faces up, near a height.
+    """Find how far the ground on lines is above given heights.
 
-    This is done for the lines of the tiles ``range(first_tile, end_tile)`` of `lines`. A line is
-    only intersected with the shapes over its tile.
+    A line is only intersected with the shapes over the tile that it runs through.
 
     Args:
         lattice: the cells, as `Lattice`.
         geometry: the shapes, as `Geometry`.
         tile_index: the shapes over each tile, as `ShapeIndex`.
-        lines: the lines, as `GroundLines`.
-        max_rise: how far ground is above or below a line's height at most [m].
-        rise: -inf everywhere, (n,) float64; receives how far each line's ground is above its
-            height, where there is ground [m]. Crossings at edges of triangles don't count.
-        edge_rise: -inf everywhere, (n,) float64; receives the same of crossings at edges of
-            triangles. If it is greater than `rise`, the ground is uncertain.
-        first_tile: index of the first tile in `lines.tiles`.
-        end_tile: index past the last one.
+        points: x and y of each line, (n, 2) float64 [m].
+        z: the height near which each line's ground is, (n,) float64 [m].
+        max_rise: how far ground is above or below this height at most [m].
+        lines: room for the lines in the order of tiles, as `GroundLines`.
+        rise: NaN everywhere, (n,) float64; receives how far each line's ground is above its height
+            [m]. It stays NaN where there is no ground, where the ground is uncertain, and outside
+            of the lattice.
+        is_uncertain: False everywhere, (n,); receives whether the highest crossing is at an edge of
+            triangles, so that only the whole column tells whether it counts.
     """
     solids = geometry.solids
     planes = geometry.planes
@@ -166,33 +195,30 @@ def raise_ground(
     hits = allocate_hits(2)
     first_hit = np.int64(0)
     triangle_copy = allocate_triangle()
-    line_start = np.empty(TILE * TILE + 1, np.int64)
-    for i in range(first_tile, end_tile):
-        tile = lines.tiles[i]
-        for line in range(lines.start[i], lines.start[i + 1]):
+    _sort_by_cell(lattice, points, z, lines)
+    for first_place in range(0, lines.start.shape[0] - CELLS_PER_TILE, CELLS_PER_TILE):
+        first_line = lines.start[first_place]
+        end_line = lines.start[first_place + CELLS_PER_TILE]
+        if first_line == end_line:
+            continue
+        tile = lines.first_tile + first_place // CELLS_PER_TILE
+        for line in range(first_line, end_line):
             x = lines.points[line, 0]
             y = lines.points[line, 1]
             for plane in range(planes.geom.shape[0]):
                 num_hits = hit_plane(planes, plane, x, y, height_range, ray, hits, first_hit)
-                _raise_ground_to_hits(hits, num_hits, lines.z[line], max_rise, line, rise)
+                _raise_ground_to_hits(hits, num_hits, lines, line, max_rise)
             for entry in range(tile_index.solid_start[tile], tile_index.solid_start[tile + 1]):
                 solid = tile_index.solid_indices[entry]
                 if not is_beside(solids.bounds, solid, x, y):
                     num_hits = hit_solid(solids, solid, x, y, ray, hits, first_hit)
-                    _raise_ground_to_hits(hits, num_hits, lines.z[line], max_rise, line, rise)
-        window = tile_window(lattice, tile)
-        _find_lines_of_cells(lattice, lines, lines.start[i], lines.start[i + 1], window, line_start)
-        first_entry = tile_index.triangle_start[tile]
-        end_entry = tile_index.triangle_start[tile + 1]
+                    _raise_ground_to_hits(hits, num_hits, lines, line, max_rise)
         _raise_ground_to_triangles(
-            lattice,
-            geometry.facets,
-            tile_index.triangle_indices[first_entry:end_entry],
-            lines,
-            max_rise,
-            window,
-            line_start,
-            triangle_copy,
-            rise,
-            edge_rise,
+            lattice, geometry.facets, tile_index, tile, lines, max_rise, triangle_copy
         )
+        for line in range(first_line, end_line):
+            original_index = lines.original_index[line]
+            if lines.edge_rise[line] > lines.rise[line]:
+                is_uncertain[original_index] = True
+            elif lines.rise[line] > -np.inf:
+                rise[original_index] = lines.rise[line]

@@ -12,10 +12,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.columns.columns import Columns, TiledShapes, cast_points, tile_of
-from navbake.baker.columns.ground_kernels import GroundLines, raise_ground
+from navbake.baker.columns.columns import (
+    Columns,
+    RowChunk,
+    TiledShapes,
+    cast_points,
+    tile_of,
+    tiles_of_rows,
+)
+from navbake.baker.columns.ground_kernels import CELLS_PER_TILE, GroundLines, find_ground_rises
 from navbake.baker.core.constants import CONVEX_SOLID
 from navbake.baker.core.limits import AgentLimits, make_agent_limits
+from navbake.baker.core.tiles import TILE
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
 from navbake.baker.geometry.overlap_kernels import find_blocked_lines
 from navbake.config.settings import AgentSettings
@@ -47,8 +55,8 @@ FACETS_AT_A_TIME = 1 << 17
 MIN_FACETS_PER_CALL = 1024
 # Fewer hits than this are not worth a call on another thread
 MIN_HITS_PER_CALL = 1 << 16
-# Lines over fewer tiles than this are not worth a call on another thread
-MIN_TILES_PER_CALL = 8
+# Fewer lines than this are not worth a call on another thread
+MIN_LINES_PER_CALL = 1 << 14
 
 
 def foot_radius(lattice: Lattice) -> float:
@@ -211,15 +219,23 @@ class GroundPlanes(NamedTuple):
     """Planes fitted to samples of the ground around hits, by least squares.
 
     Attributes:
-        normal: unit normals, (n, 3).
-        max_bump: the greatest vertical distance of a sample from its plane, (n,) [m].
+        slope_x: how much each plane rises along x, (n,).
+        slope_y: how much it rises along y, (n,).
+        z: its height at the hit, relative to the hit, (n,) [m].
         is_determined: whether the samples determine a plane (they don't if they lie on a line),
             (n,). If not, the other values have no meaning.
     """
 
-    normal: Float
-    max_bump: Float
+    slope_x: Float
+    slope_y: Float
+    z: Float
     is_determined: Bool
+
+    @property
+    def normal(self) -> Float:
+        """Unit normals, (n, 3)."""
+        normal_z = 1.0 / np.sqrt(1.0 + self.slope_x**2 + self.slope_y**2)
+        return np.stack([-self.slope_x * normal_z, -self.slope_y * normal_z, normal_z], axis=1)
 
 
 def _mark_flat_ground(
@@ -247,72 +263,94 @@ def _mark_flat_ground(
         The unit normals of the planes, (n, 3), and which of the planes are ground that the agent
         can stand on, (n,).
     """
-    directions_per_half_turn = NUM_DIRECTIONS // 2
-    opposite_heights = np.roll(
-        sample_heights.reshape(-1, len(SAMPLED_RADIUS_FRACTIONS), NUM_DIRECTIONS),
-        directions_per_half_turn,
-        axis=2,
+    is_sample = ~np.isnan(sample_heights)
+    # by circle, half of the circle, and direction in this half
+    is_sample_of_halves = is_sample.reshape(
+        -1, len(SAMPLED_RADIUS_FRACTIONS), 2, NUM_DIRECTIONS // 2
     )
-    paired_heights = np.where(
-        np.isnan(opposite_heights.reshape(sample_heights.shape)), np.nan, sample_heights
-    )
+    is_used = is_sample_of_halves & is_sample_of_halves[:, :, ::-1]
+    is_used = is_used.reshape(is_sample.shape)
     min_variance = MIN_VARIANCE_FRACTION * foot_radius(columns.lattice) ** 2
-    planes = _fit_planes(sample_offsets, paired_heights, min_variance)
+    planes = _fit_planes(sample_offsets, sample_heights, is_used, min_variance)
     unpaired_indices = np.flatnonzero(~planes.is_determined)
+    is_used[unpaired_indices] = is_sample[unpaired_indices]
     planes_of_all_samples = _fit_planes(
-        sample_offsets, sample_heights[unpaired_indices], min_variance
+        sample_offsets, sample_heights[unpaired_indices], is_sample[unpaired_indices], min_variance
     )
+    for values, values_of_unpaired in zip(planes, planes_of_all_samples, strict=True):
+        values[unpaired_indices] = values_of_unpaired
+    normal = planes.normal
     is_clearly_different = (
-        planes_of_all_samples.normal * columns.normal[hit_indices[unpaired_indices]]
+        normal[unpaired_indices] * columns.normal[hit_indices[unpaired_indices]]
     ).sum(axis=1) <= MAX_DIFFERENT_COSINE
-    planes.normal[unpaired_indices] = planes_of_all_samples.normal
-    planes.max_bump[unpaired_indices] = planes_of_all_samples.max_bump
-    planes.is_determined[unpaired_indices] = (
-        planes_of_all_samples.is_determined & is_clearly_different
-    )
-    is_flat = planes.is_determined & (planes.normal[:, 2] >= limits.min_normal_z)
-    is_flat &= planes.max_bump <= MAX_BUMP_FRACTION * limits.max_step + LIMIT_SLACK
-    return planes.normal, is_flat
+    planes.is_determined[unpaired_indices] &= is_clearly_different
+    is_flat = planes.is_determined & (normal[:, 2] >= limits.min_normal_z)
+    flat_indices = np.flatnonzero(is_flat)
+    bump_heights = _measure_bumps(planes, flat_indices, sample_heights, sample_offsets)
+    max_bump = np.max(bump_heights, axis=1, where=is_used[flat_indices], initial=0.0)
+    max_bump = np.maximum(max_bump, np.abs(planes.z[flat_indices]))
+    is_flat[flat_indices] = max_bump <= MAX_BUMP_FRACTION * limits.max_step + LIMIT_SLACK
+    return normal, is_flat
 
 
-def _fit_planes(sample_offsets: Float, sample_heights: Float, min_variance: float) -> GroundPlanes:
+def _measure_bumps(
+    planes: GroundPlanes, plane_indices: Int, sample_heights: Float, sample_offsets: Float
+) -> Float:
+    """Return how far samples are above or below some of the planes through them.
+
+    Args:
+        planes: planes, one for each row of samples.
+        plane_indices: indices of the planes, (k,).
+        sample_heights: heights of the ground relative to each hit, NaN for none, (n, samples) [m].
+        sample_offsets: x and y of the samples relative to the hit, (2, samples) [m].
+
+    Returns:
+        Vertical distances, NaN where there is no sample, (k, samples) [m].
+    """
+    distances = sample_heights[plane_indices] - planes.z[plane_indices, None]
+    distances -= planes.slope_x[plane_indices, None] * sample_offsets[0]
+    distances -= planes.slope_y[plane_indices, None] * sample_offsets[1]
+    return np.abs(distances)
+
+
+def _fit_planes(
+    sample_offsets: Float, sample_heights: Float, is_used: Bool, min_variance: float
+) -> GroundPlanes:
     """Fit a plane to each row of samples, and to the hit itself, which is at the origin.
 
     Args:
         sample_offsets: x and y of the samples relative to the hit, (2, samples) [m].
         sample_heights: their heights relative to the hit, NaN for none, (n, samples) [m].
+        is_used: mask of the samples that count, (n, samples).
         min_variance: the samples determine a plane if their variance along each horizontal
             direction is at least this [m²].
     """
-    is_sample = ~np.isnan(sample_heights)
-    num_samples = 1.0 + is_sample.sum(axis=1)
-    x = np.where(is_sample, sample_offsets[0], 0.0)
-    y = np.where(is_sample, sample_offsets[1], 0.0)
-    z = np.where(is_sample, sample_heights, 0.0)
+    # what depends on the places of the samples alone is computed once for each set of samples; a
+    # set's number has a bit for each of the 16 samples
+    sample_set = np.packbits(is_used, axis=1).view(np.uint16).ravel()
+    _, first_of_set, set_index = np.unique(sample_set, return_index=True, return_inverse=True)
+    is_in_set = is_used[first_of_set]
+    num_samples = 1.0 + is_in_set.sum(axis=1)
+    x = np.where(is_in_set, sample_offsets[0], 0.0)
+    y = np.where(is_in_set, sample_offsets[1], 0.0)
     mean_x = x.sum(axis=1) / num_samples
     mean_y = y.sum(axis=1) / num_samples
-    mean_z = z.sum(axis=1) / num_samples
     var_x = (x * x).sum(axis=1) / num_samples - mean_x**2
     var_y = (y * y).sum(axis=1) / num_samples - mean_y**2
     cov_xy = (x * y).sum(axis=1) / num_samples - mean_x * mean_y
-    cov_xz = (x * z).sum(axis=1) / num_samples - mean_x * mean_z
-    cov_yz = (y * z).sum(axis=1) / num_samples - mean_y * mean_z
     least_variance = (var_x + var_y) / 2.0 - np.hypot((var_x - var_y) / 2.0, cov_xy)
     is_determined = least_variance >= min_variance
     determinant = np.where(is_determined, var_x * var_y - cov_xy**2, 1.0)
+    moments = np.stack([num_samples, mean_x, mean_y, var_x, var_y, cov_xy, determinant])
+    num_samples, mean_x, mean_y, var_x, var_y, cov_xy, determinant = moments[:, set_index]
+    z = np.where(is_used, sample_heights, 0.0)
+    mean_z = z.sum(axis=1) / num_samples
+    cov_xz = (z * sample_offsets[0]).sum(axis=1) / num_samples - mean_x * mean_z
+    cov_yz = (z * sample_offsets[1]).sum(axis=1) / num_samples - mean_y * mean_z
     slope_x = (cov_xz * var_y - cov_yz * cov_xy) / determinant
     slope_y = (cov_yz * var_x - cov_xz * cov_xy) / determinant
-    plane_z_at_hit = mean_z - slope_x * mean_x - slope_y * mean_y  # at the hit
-    bump_heights = np.abs(z - plane_z_at_hit[:, None] - slope_x[:, None] * x - slope_y[:, None] * y)
-    max_bump = np.maximum(
-        np.where(is_sample, bump_heights, 0.0).max(axis=1), np.abs(plane_z_at_hit)
-    )
-    normal_z = 1.0 / np.sqrt(1.0 + slope_x**2 + slope_y**2)
-    return GroundPlanes(
-        np.stack([-slope_x * normal_z, -slope_y * normal_z, normal_z], axis=1),
-        max_bump,
-        is_determined,
-    )
+    plane_z = mean_z - slope_x * mean_x - slope_y * mean_y
+    return GroundPlanes(slope_x, slope_y, plane_z, is_determined[set_index])
 
 
 def _sample_ground(
@@ -337,75 +375,81 @@ def _sample_ground(
         The heights of the ground relative to the hit, NaN where there is none, (n, samples) [m].
     """
     lattice = columns.lattice
-    num_samples = sample_offsets.shape[1]
     centers = lattice.positions(*np.divmod(cell_ids, lattice.width))
     points = (centers[:, None] + sample_offsets.T).reshape(-1, 2)
-    rows, cols = lattice.rows_cols(points)
-    is_inside = (rows >= 0) & (rows < lattice.height) & (cols >= 0) & (cols < lattice.width)
-    inside_indices = np.flatnonzero(is_inside)
-    ground_heights = np.full(len(points), np.nan)
-    ground_heights[inside_indices] = find_ground(
-        tiled_shapes,
-        (rows * lattice.width + cols)[inside_indices],
-        points[inside_indices],
-        columns.z[hit_indices][inside_indices // num_samples],
-        limits.max_step + LIMIT_SLACK,
-    )
+    z = np.repeat(columns.z[hit_indices], sample_offsets.shape[1])
+    ground_heights = find_ground(tiled_shapes, points, z, limits.max_step + LIMIT_SLACK)
     return ground_heights.reshape(len(cell_ids), -1)
 
 
-def find_ground(
-    tiled_shapes: TiledShapes, cells: Int, points: Float, z: Float, max_rise: float
-) -> Float:
+def find_ground(tiled_shapes: TiledShapes, points: Float, z: Float, max_rise: float) -> Float:
     """Find the ground at points: the highest surface that faces up, near a given height.
 
     The result is what the columns of `cast_points` give, in less time.
 
     Args:
         tiled_shapes: the shapes on a lattice.
-        cells: id of the cell that holds each point, (n,).
         points: x and y of the points, (n, 2) [m].
         z: the height near which the ground of each point is, (n,) [m].
         max_rise: how far ground is above or below this height at most [m].
 
     Returns:
-        How far the ground is above the heights, NaN where there is none, (n,) [m].
+        How far the ground is above the heights, NaN where there is none and outside of the lattice,
+        (n,) [m].
     """
     lattice = tiled_shapes.lattice
-    tiles = tile_of(lattice, cells)
-    order = np.argsort(tiles * lattice.width * lattice.height + cells)
-    is_first_of_tile = np.diff(tiles[order], prepend=-1) > 0
-    lines = GroundLines(
-        points=points[order],
-        cells=cells[order],
-        z=z[order],
-        tiles=tiles[order][is_first_of_tile],
-        start=np.append(np.flatnonzero(is_first_of_tile), len(cells)),
-    )
-    rise_in_order = np.full(len(cells), -np.inf)
-    edge_rise = np.full(len(cells), -np.inf)
-    run_in_chunks(
-        raise_ground,
-        len(lines.tiles),
-        lattice,
-        tiled_shapes.geometry,
-        tiled_shapes.tile_index,
-        lines,
-        max_rise,
-        rise_in_order,
-        edge_rise,
-        min_chunk_size=MIN_TILES_PER_CALL,
-    )
-    rise = np.full(len(cells), np.nan)
-    is_ground = rise_in_order > -np.inf
-    rise[order[is_ground]] = rise_in_order[is_ground]
+    rise = np.full(len(points), np.nan)
+    is_uncertain = np.zeros(len(points), dtype=np.bool_)
+
+    def find_rises(first_line: int, end_line: int) -> None:
+        num_lines = end_line - first_line
+        tiles = _tiles_of_lines(lattice, points[first_line:end_line, 1])
+        lines = GroundLines(
+            points=np.empty((num_lines, 2)),
+            z=np.empty(num_lines),
+            rise=np.full(num_lines, -np.inf),
+            edge_rise=np.full(num_lines, -np.inf),
+            original_index=np.empty(num_lines, dtype=np.int64),
+            place=np.empty(num_lines, dtype=np.int64),
+            first_tile=tiles.start,
+            start=np.zeros(len(tiles) * CELLS_PER_TILE + 2, dtype=np.int64),
+        )
+        find_ground_rises(
+            lattice,
+            tiled_shapes.geometry,
+            tiled_shapes.tile_index,
+            points[first_line:end_line],
+            z[first_line:end_line],
+            max_rise,
+            lines,
+            rise[first_line:end_line],
+            is_uncertain[first_line:end_line],
+        )
+
+    run_in_chunks(find_rises, len(points), min_chunk_size=MIN_LINES_PER_CALL)
     # a hit at a triangle's edge may be superfluous: whether it is, only the whole column tells
-    uncertain_lines = order[edge_rise > rise_in_order]
-    rise[uncertain_lines] = np.nan
-    hits = cast_points(tiled_shapes, cells[uncertain_lines], points[uncertain_lines])
+    uncertain_lines = np.flatnonzero(is_uncertain)
+    rows, cols = lattice.rows_cols(points[uncertain_lines])
+    cells = rows * lattice.width + cols
+    order = np.argsort(tile_of(lattice, cells), kind="stable")  # lines of a tile are cast together
+    uncertain_lines = uncertain_lines[order]
+    hits = cast_points(tiled_shapes, cells[order], points[uncertain_lines])
     line_of_hit = np.repeat(uncertain_lines, np.diff(hits.start))
     rise_of_hit = hits.z - z[line_of_hit]
     is_ground_hit = (hits.normal[:, 2] > 0.0) & (np.abs(rise_of_hit) <= max_rise)
     # heights ascend along a line: the last assignment is that of the highest surface
     rise[line_of_hit[is_ground_hit]] = rise_of_hit[is_ground_hit]
     return rise
+
+
+def _tiles_of_lines(lattice: Lattice, y: Float) -> range:
+    """Return the ids of the tiles in all rows of tiles that some lines run through.
+
+    Args:
+        lattice: the cells.
+        y: y of each line, at least one; also outside of the lattice [m].
+    """
+    rows, _ = lattice.rows_cols([[lattice.x_min, y.max()], [lattice.x_min, y.min()]])
+    first_row, last_row = np.clip(rows, 0, lattice.height - 1).tolist()
+    end_row = min((last_row // TILE + 1) * TILE, lattice.height)
+    return tiles_of_rows(lattice, RowChunk(first_row, end_row))

@@ -266,7 +266,10 @@ def test_lines_together_cross_what_each_crosses_by_itself(tmp_path: Path, seed: 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_ground_is_the_highest_hit_near_a_height_that_faces_up(tmp_path: Path, seed: int) -> None:
-    """At points anywhere, and at cells' centres, through which edges of the height field run."""
+    """At points anywhere, and at cells' centres, through which edges of the height field run.
+
+    None outside of the lattice, also where shapes are.
+    """
     rng = np.random.default_rng(seed)
     scene = load(tmp_path, aligned_xml(rng))
     lattice = Lattice(-1.05, 1.05, 0.1, 21, 21)
@@ -281,10 +284,15 @@ def test_ground_is_the_highest_hit_near_a_height_that_faces_up(tmp_path: Path, s
         for hit in range(first, end):
             if hits.normal[hit, 2] > 0 and abs(hits.z[hit] - z[line]) <= 0.3:
                 expected[line] = hits.z[hit] - z[line]
-    np.testing.assert_array_equal(find_ground(tiled, cells, points, z, 0.3), expected)
+    np.testing.assert_array_equal(find_ground(tiled, points, z, 0.3), expected)
+    outside = points + [[2.1, 0], [-2.1, 0], [0, 2.1], [0, -2.1]] * 500
+    assert np.isnan(find_ground(tiled, outside, z, 0.3)).all()
+    np.testing.assert_array_equal(
+        find_ground(tiled, np.concatenate([outside, points]), np.tile(z, 2), 0.3)[2000:], expected
+    )
     assert 100 < np.isnan(expected).sum() < 1900
     with limit_threads(1):
-        np.testing.assert_array_equal(find_ground(tiled, cells, points, z, 0.3), expected)
+        np.testing.assert_array_equal(find_ground(tiled, points, z, 0.3), expected)
 
 
 @pytest.mark.parametrize("seed", range(3))
