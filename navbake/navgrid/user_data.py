@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from itertools import compress
 from typing import NamedTuple, TypeAlias
 
+import msgspec
 import numpy as np
 
 from navbake.navgrid.metadata import read_table
@@ -221,9 +222,7 @@ def copy_json(value: JsonValue) -> JsonValue:
     Returns:
         The copy; its dictionaries and lists are new objects.
     """
-    if isinstance(value, dict):
-        return {key: copy_json(part) for key, part in value.items()}
-    return [copy_json(part) for part in value] if isinstance(value, list) else value
+    return msgspec.to_builtins(value)
 
 
 def names_in(entry: Json, key: str) -> list[str]:

@@ -363,7 +363,7 @@ def _make_metadata(
         navbake_metadata["agents"] = agents
     navbake_metadata["names"] = config.names.enabled
     if baked_structure.occupants is not None and config.names.enabled:
-        navbake_metadata["boxes"] = {name: list(box) for name, box in baked_pose.name_boxes.items()}
+        navbake_metadata["boxes"] = copy_json(baked_pose.name_boxes)
     navbake_metadata["rooms"] = copy_json(baked_pose.room_table)
     navbake_metadata["doors"] = [copy_json(grid_door.entry) for grid_door in baked_pose.grid_doors]
     bake_warnings = collect_warnings(config, baked_structure, baked_pose)

@@ -28,6 +28,7 @@ from navbake.config.keywords import SettingKeywords
 from navbake.errors import BakeWarning
 from navbake.mujoco_types import MjDataLike
 from navbake.navgrid.grid import NavGrid
+from navbake.navgrid.user_data import without_garbage_collection
 from navbake.threads import baking, limit_threads
 from navbake.types import Float, Int
 
@@ -165,7 +166,7 @@ class Baker:
             >>> changes.cells[0]  # of the lowest level
         """
         start_time = time.perf_counter()
-        with baking(), self._lock, limit_threads(self._threads):
+        with without_garbage_collection(), baking(), self._lock, limit_threads(self._threads):
             change = self._tracked_scene.find_change(data, bodies, joints)
             # After an error or an interruption below, the next update bakes the whole scene.
             old_baked_scene = self._baked
@@ -181,9 +182,8 @@ class Baker:
                 baked_scene = self._bake(self._scene_model._replace(data=change.scene.data))
             # It was computed on another thread meanwhile.
             baked_scene = _with_digest(baked_scene, change.wait_for_digest())
-            old_grid = self._grid
             grid = build_grid(self._config, baked_scene.structure, baked_scene.pose)
-            cells, is_new = _find_changed_cells(old_grid, grid)
+            cells, is_new = _find_changed_cells(self._grid, grid)
             self._tracked_scene.commit(baked_scene.pose.scene, change.snapshot)
             self._grid = grid
             self._baked = baked_scene

@@ -630,17 +630,18 @@ def start_hashing(
     if digested_names is None:
         digested_names = digest_names(model)
     digest = digested_names.geom_hash.copy()
-    pending_bytes = bytearray()
+    pending_buffers = list[bytes | memoryview]()
     for array_number, array in enumerate(
         _digested_arrays(model, data, exact_meshes, digested_names)
     ):
-        pending_bytes += f"{array_number} {array.dtype.str} {array.shape}\n".encode()
+        pending_buffers.append(f"{array_number} {array.dtype.str} {array.shape}\n".encode())
         if array.nbytes > MAX_COPIED_BYTES:
-            digest.update(pending_bytes)
+            digest.update(b"".join(pending_buffers))
             digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
-            pending_bytes = bytearray()
+            pending_buffers = []
         else:
-            pending_bytes += array.tobytes()
+            pending_buffers.append(np.ascontiguousarray(array).data)
+    pending_bytes = b"".join(pending_buffers)
 
     def finish() -> str:
         digest.update(pending_bytes)
