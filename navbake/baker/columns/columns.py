@@ -659,7 +659,11 @@ def _list_boxes(
     tile_start = np.zeros(num_tiles + 1, dtype=np.int64)
     np.cumsum(next_list_index.sum(axis=0), out=tile_start[1:])
     # each chunk's boxes over a tile follow those of the chunks before it
-    next_list_index[:] = np.cumsum(next_list_index, axis=0) - next_list_index + tile_start[:-1]
+    index_of_chunk = tile_start[:-1]
+    for num_boxes_over_tile in next_list_index:
+        index_of_next_chunk = index_of_chunk + num_boxes_over_tile
+        num_boxes_over_tile[:] = index_of_chunk
+        index_of_chunk = index_of_next_chunk
     box_indices_by_tile = np.empty(tile_start[-1], dtype=np.int32)
 
     def list_boxes(first_chunk: int, end_chunk: int) -> None:

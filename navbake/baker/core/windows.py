@@ -72,22 +72,25 @@ def find_cells_near_boxes(lattice: Lattice, boxes: Float, distance: float) -> In
     Returns:
         Ids of the cells, ascending, shape (m,).
     """
+    if not len(boxes):
+        return np.empty(0, dtype=np.int64)
     # `rows_cols` takes finite positions only
     clipped_boxes = clip_boxes(lattice, boxes, distance + 4 * lattice.cell_size)
-    x_low, y_low = (clipped_boxes[:, :2] - distance).T
-    x_high, y_high = (clipped_boxes[:, 3:5] + distance).T
-    first_row, first_col = lattice.rows_cols(np.stack([x_low, y_high], axis=1))
-    last_row, last_col = lattice.rows_cols(np.stack([x_high, y_low], axis=1))
-    is_near = np.zeros(lattice.shape, dtype=np.bool_)
-    row_ranges = np.stack([first_row - 1, last_row + 2]).clip(0, lattice.height).T.tolist()
-    col_ranges = np.stack([first_col - 1, last_col + 2]).clip(0, lattice.width).T.tolist()
-    for (row, row_end), (col, col_end) in zip(row_ranges, col_ranges, strict=True):
+    # x and y of the corners in the north-west, then in the south-east
+    corners = clipped_boxes[:, [[0, 4], [3, 1]]] + [[-distance, distance], [distance, -distance]]
+    rows, cols = lattice.rows_cols(corners)
+    widening = np.array([-1, 2])  # a range ends after its last cell
+    row_ranges = (rows + widening).clip(0, lattice.height)
+    col_ranges = (cols + widening).clip(0, lattice.width)
+    first_row = int(row_ranges[:, 0].min())
+    end_row = int(row_ranges[:, 1].max())
+    is_near = np.zeros((end_row - first_row, lattice.width), dtype=np.bool_)
+    row_ranges -= first_row
+    for (row, row_end), (col, col_end) in zip(
+        row_ranges.tolist(), col_ranges.tolist(), strict=True
+    ):
         is_near[row:row_end, col:col_end] = True
-    first_near_row = min((row for row, _ in row_ranges), default=0)
-    end_near_row = max((row_end for _, row_end in row_ranges), default=0)
-    cells: Int = (
-        np.flatnonzero(is_near[first_near_row:end_near_row]) + first_near_row * lattice.width
-    )
+    cells: Int = np.flatnonzero(is_near) + first_row * lattice.width
     return cells
 
 

@@ -9,7 +9,7 @@ lists the geoms over their floors: first of structure, then of movables, see
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -215,6 +215,8 @@ def _are_ascending(cells: Int, floors: Float) -> bool:
     """
     # where the next cell is no higher; most are higher, so that few floors have to be compared
     indices = np.flatnonzero(cells[1:] <= cells[:-1])
+    if not len(indices):
+        return True
     is_same_cell = cells[indices + 1] == cells[indices]
     is_next_floor_lower = floors[indices + 1] < floors[indices]
     return bool(np.all(is_same_cell & ~is_next_floor_lower))
@@ -241,6 +243,8 @@ def _join_lists(
     if not lists_by_tile_row:
         return np.full(1, -1, dtype=np.int32), np.zeros(1, dtype=np.uint8)
     first_tile_rows = sorted(lists_by_tile_row)
+    if len(first_tile_rows) == 1:
+        return lists_by_tile_row[first_tile_rows[0]]
     if len(list_start):
         first_cells = [tile_row * TILE * lattice.width for tile_row in first_tile_rows[1:]]
         num_entries = 0
@@ -249,8 +253,6 @@ def _join_lists(
             list_starts += num_entries  # a view: this changes `list_start`
             geom, _ = lists_by_tile_row[tile_row]
             num_entries += len(geom)
-    if len(first_tile_rows) == 1:
-        return lists_by_tile_row[first_tile_rows[0]]
     geom = np.concatenate([lists_by_tile_row[tile_row][0] for tile_row in first_tile_rows])
     flags = np.concatenate([lists_by_tile_row[tile_row][1] for tile_row in first_tile_rows])
     return geom, flags
@@ -394,7 +396,7 @@ def check_level_occupancy(
     square_occupied = occupancy.square_occupied[place_in_order]
     occupant_lists = _select_lists(occupant_lists, place_in_order)
     occupancy_by_level = []
-    first_floors = np.cumsum([0, *num_floors]).tolist()
+    first_floors = accumulate(num_floors, initial=0)
     for level_cells, (first_floor, end_floor) in zip(
         cells_by_level, pairwise(first_floors), strict=True
     ):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -270,21 +271,21 @@ def _replace_cell_entries(
     """
     chunk_size = ROWS_PER_CHUNK * lattice.width
     replaced_entries = [NO_ENTRIES]
-    chunk_of_cell = cells // chunk_size
-    for chunk_number in chunk_of_cell[np.diff(chunk_of_cell, prepend=-1) != 0].tolist():
-        first_cell = chunk_number * chunk_size
-        end_cell = first_cell + chunk_size
-        first_index, end_index = np.searchsorted(new_entries.cell, [first_cell, end_cell]).tolist()
-        entries = OccupantEntries(
-            cell=new_entries.cell[first_index:end_index],
-            geom=new_entries.geom[first_index:end_index],
-            flags=new_entries.flags[first_index:end_index],
-        )
+    first_chunk, last_chunk = (cells[[0, -1]] // chunk_size).tolist()
+    first_cells = np.arange(first_chunk, last_chunk + 2) * chunk_size  # of the chunks
+    cell_slices = _slices_between(cells, first_cells)
+    entry_slices = _slices_between(new_entries.cell, first_cells)
+    for chunk_number, cell_slice, entry_slice in zip(
+        range(first_chunk, last_chunk + 1), cell_slices, entry_slices, strict=True
+    ):
+        if cell_slice.start == cell_slice.stop:
+            continue
+        entries = _select_entries(new_entries, entry_slice)
         chunk_entries = entries_by_chunk[chunk_number]
         if len(chunk_entries.cell):
+            first_cell = chunk_number * chunk_size
             is_updated_cell = np.zeros(chunk_size, dtype=np.bool_)
-            first_index, end_index = np.searchsorted(cells, [first_cell, end_cell]).tolist()
-            is_updated_cell[cells[first_index:end_index] - first_cell] = True
+            is_updated_cell[cells[cell_slice] - first_cell] = True
             is_replaced_entry = is_updated_cell[chunk_entries.cell - first_cell]
             replaced_entries.append(_select_entries(chunk_entries, is_replaced_entry))
             remaining_entries = _select_entries(chunk_entries, ~is_replaced_entry)
@@ -296,8 +297,13 @@ def _replace_cell_entries(
     return join_entries(replaced_entries)
 
 
-def _select_entries(entries: OccupantEntries, selection: Bool | Int) -> OccupantEntries:
-    """Return the entries that a mask or an array of indices selects."""
+def _slices_between(values: Int, borders: Int) -> list[slice]:
+    """Divide ascending values at borders: return a slice for each pair of borders that follow."""
+    return [slice(*ends) for ends in pairwise(np.searchsorted(values, borders).tolist())]
+
+
+def _select_entries(entries: OccupantEntries, selection: Bool | Int | slice) -> OccupantEntries:
+    """Return the entries that a mask, an array of indices or a slice selects."""
     return OccupantEntries(
         entries.cell[selection], entries.geom[selection], entries.flags[selection]
     )
@@ -331,7 +337,8 @@ def _count_free_cells_blocked(
     # a cell's entries lie together, and so do those of a body in it
     bodies = mover_of_geom[entries.geom[blocks_free_cell]]
     cell_body_key = entries.cell[blocks_free_cell] * num_bodies + bodies
-    is_first_of_pair = np.diff(cell_body_key, prepend=-1) != 0
+    is_first_of_pair = np.ones(len(cell_body_key), dtype=np.bool_)
+    np.not_equal(cell_body_key[1:], cell_body_key[:-1], out=is_first_of_pair[1:])
     return np.bincount(cell_body_key[is_first_of_pair] % num_bodies, minlength=num_bodies)
 
 
@@ -395,11 +402,11 @@ def _mark_geoms_near(shapes: Shapes, cells: Int, lattice: Lattice, max_distance:
     Returns:
         A mask by geom id, shape (ngeom,), bool.
     """
-    rows, cols = np.divmod(cells, lattice.width)
+    first_row, last_row = (cells[[0, -1]] // lattice.width).tolist()
+    cols = cells % lattice.width
     margin = max_distance + lattice.cell_size
-    corners = lattice.positions(rows[[0, -1]], np.array([cols.min(), cols.max()]))
-    x_min, y_max = corners[0]  # rows go from north to south
-    x_max, y_min = corners[1]
+    x_min, y_max = lattice.position(first_row, int(cols.min()))  # rows go from north to south
+    x_max, y_min = lattice.position(last_row, int(cols.max()))
     boxes = shapes.boxes
     is_near = (boxes[:, 0] <= x_max + margin) & (boxes[:, 3] >= x_min - margin)
     is_near &= (boxes[:, 1] <= y_max + margin) & (boxes[:, 4] >= y_min - margin)
