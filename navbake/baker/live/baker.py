@@ -183,7 +183,7 @@ class Baker:
             # It was computed on another thread meanwhile.
             baked_scene = _with_digest(baked_scene, change.wait_for_digest())
             grid = build_grid(self._config, baked_scene.structure, baked_scene.pose)
-            cells, is_new = _find_changed_cells(self._grid, grid)
+            cells, is_new = _find_changed_cells(self._grid, grid, baked_scene)
             self._tracked_scene.commit(baked_scene.pose.scene, change.snapshot)
             self._grid = grid
             self._baked = baked_scene
@@ -202,6 +202,7 @@ class Baker:
             door_inputs=stages.door_inputs,
             movable_inputs=stages.movable_inputs,
             geoms_of_name=geoms_of_name,
+            changed_rows=slice(0, structure.lattice.height),
         )
 
 
@@ -210,8 +211,15 @@ def _with_digest(baked_scene: BakedScene, digest: str) -> BakedScene:
     return baked_scene._replace(pose=replace(baked_scene.pose, scene=scene))
 
 
-def _find_changed_cells(old_grid: NavGrid, new_grid: NavGrid) -> tuple[list[Int], bool]:
+def _find_changed_cells(
+    old_grid: NavGrid, new_grid: NavGrid, baked_scene: BakedScene
+) -> tuple[list[Int], bool]:
     """Find the cells of each level in which any layer changed.
+
+    Args:
+        old_grid: the last grid.
+        new_grid: the new grid.
+        baked_scene: the values of which the new grid is made.
 
     Returns:
         For each level, the ids of the cells; and whether the levels or their lattices changed. If
@@ -222,16 +230,23 @@ def _find_changed_cells(old_grid: NavGrid, new_grid: NavGrid) -> tuple[list[Int]
     if old_lattices != new_lattices:
         return [np.arange(level.width * level.height) for level in new_grid.levels], True
     changed_cells = []
-    for old_level, new_level in zip(old_grid.levels, new_grid.levels, strict=True):
+    changed_rows = baked_scene.changed_rows
+    for old_level, new_level, (window_rows, _) in zip(
+        old_grid.levels, new_grid.levels, baked_scene.structure.boxes.windows, strict=True
+    ):
+        first_row = max(changed_rows.start - window_rows.start, 0)
+        rows = slice(first_row, max(changed_rows.stop - window_rows.start, 0))
         # Weights follow from the occupancy.
-        is_changed_cell = old_level.attributes["occupancy"] != new_level.attributes["occupancy"]
+        is_changed_cell = (
+            old_level.attributes["occupancy"][rows] != new_level.attributes["occupancy"][rows]
+        )
         for layer_name, new_layer in new_level.attributes.items():
             old_layer = old_level.attributes[layer_name]
             if layer_name == "occupancy" or np.may_share_memory(old_layer, new_layer):
                 continue
-            is_layer_changed = old_layer != new_layer
+            is_layer_changed = old_layer[rows] != new_layer[rows]
             if new_layer.dtype.kind == "f":
-                is_layer_changed &= ~(np.isnan(old_layer) & np.isnan(new_layer))
+                is_layer_changed &= ~(np.isnan(old_layer[rows]) & np.isnan(new_layer[rows]))
             is_changed_cell |= is_layer_changed
-        changed_cells.append(np.flatnonzero(is_changed_cell))
+        changed_cells.append(np.flatnonzero(is_changed_cell) + first_row * new_level.width)
     return changed_cells, False

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from operator import is_
 from typing import NamedTuple
 
 import numpy as np
 
-from navbake.baker.bake.baked import BakedPose, BakedStructure
+from navbake.baker.bake.baked import BakedPose, BakedStructure, GridDoor
 from navbake.baker.bake.lattice import fit_lattice
 from navbake.baker.bake.level_crops import make_grid_door
 from navbake.baker.doors.doors import (
@@ -23,18 +24,21 @@ from navbake.baker.doors.doors import (
     mark_obstacle_geoms,
     move_leaf,
 )
-from navbake.baker.doors.posed_leaves import CellsByState, find_blocked_cells, pose_leaves
+from navbake.baker.doors.posed_leaves import find_blocked_cells, pose_leaves
 from navbake.baker.links.areas import paint_areas
 from navbake.baker.links.links import bake_links
 from navbake.baker.live.tracked_scene import SceneChange
 from navbake.baker.occupants.cell_names import measure_names
 from navbake.baker.occupants.lost_floors import find_lost_floors
 from navbake.baker.occupants.movable import (
+    MovableOccupants,
     MovableSearchInputs,
+    find_affected_cells,
     update_movable_occupants,
 )
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
+from navbake.navgrid.lattice import Lattice
 from navbake.threads import limit_threads
 from navbake.types import Bool, Float, Int
 
@@ -56,6 +60,8 @@ class BakedScene(NamedTuple):
         movable_inputs: the floors and the occupancy of structure, for the search for movables.
         geoms_of_name: name in cells -> ids of the geoms that have it, see
             `navbake.baker.occupants.cell_names.name_geoms`; empty if the settings ask for no names.
+        changed_rows: the rows of the lattice in which layers may differ from those of the bake or
+            update before; all rows after a bake.
     """
 
     structure: BakedStructure
@@ -63,6 +69,7 @@ class BakedScene(NamedTuple):
     door_inputs: DoorInputs
     movable_inputs: MovableSearchInputs
     geoms_of_name: dict[str, list[int]]
+    changed_rows: slice
 
 
 def update_baked_scene(
@@ -98,6 +105,7 @@ def update_baked_scene(
             _select_boxes(scene, is_changed_geom & is_obstacle_geom),
         ]
     )
+    cells = find_affected_cells(baked_scene.movable_inputs, changed_boxes)
     pose = replace(old_pose, scene=scene, leaves=leaves, is_obstacle_geom=is_obstacle_geom)
     with limit_threads(1 if len(changed_boxes) < MIN_BOXES_FOR_THREADS else None):
         if is_changed_geom.any():
@@ -106,12 +114,13 @@ def update_baked_scene(
                 baked_scene.movable_inputs,
                 shapes=scene.shapes,
                 is_obstacle_geom=is_obstacle_geom,
-                boxes=changed_boxes,
+                cells=cells,
             )
             lost_floor_areas = _update_lost_floors(pose, structure, is_changed_geom, config)
             pose = replace(pose, occupants=occupants, lost_floor_areas=lost_floor_areas)
         if leaves is not old_pose.leaves or pose.occupants is not old_pose.occupants:
-            pose = _update_grid_doors(pose, baked_scene, config)
+            grid_doors = _update_grid_doors(pose, baked_scene, cells, config)
+            pose = replace(pose, grid_doors=grid_doors)
     if baked_scene.geoms_of_name and change.is_changed_geom.any():
         name_boxes = _update_name_boxes(pose, baked_scene, change.is_changed_geom)
         pose = replace(pose, name_boxes=name_boxes)
@@ -132,7 +141,25 @@ def update_baked_scene(
             config=config,
         )
         pose = replace(pose, links=links)
-    return baked_scene._replace(pose=pose)
+    # doors, areas, islands and clearance may change far from what moved
+    changed_rows = slice(0, structure.lattice.height)
+    changes_anywhere = config.areas or config.attributes
+    if not changes_anywhere and _are_same_doors(pose.grid_doors, old_pose.grid_doors):
+        changed_rows = _rows_of_cells(cells, structure.lattice)
+    return baked_scene._replace(pose=pose, changed_rows=changed_rows)
+
+
+def _are_same_doors(new_doors: list[GridDoor], old_doors: list[GridDoor]) -> bool:
+    """Return whether all doors are the same objects as before."""
+    return len(new_doors) == len(old_doors) and all(map(is_, new_doors, old_doors))
+
+
+def _rows_of_cells(cells: Int, lattice: Lattice) -> slice:
+    """Return the rows from that of the first to that of the last of some cells, ascending."""
+    if not len(cells):
+        return slice(0, 0)
+    first_row, last_row = (cells[[0, -1]] // lattice.width).tolist()
+    return slice(first_row, last_row + 1)
 
 
 def _select_boxes(scene: Scene, is_selected_geom: Bool) -> Float:
@@ -236,7 +263,9 @@ def _update_name_boxes(
     return measure_names(scene.shapes, np.arange(len(names)), names)
 
 
-def _update_grid_doors(pose: BakedPose, baked_scene: BakedScene, config: BakeConfig) -> BakedPose:
+def _update_grid_doors(
+    pose: BakedPose, baked_scene: BakedScene, cells: Int, config: BakeConfig
+) -> list[GridDoor]:
     """Bring the doors of the grid up to date.
 
     A door is made again if it moved, or if the occupancy of a cell that it blocks changed.
@@ -244,24 +273,20 @@ def _update_grid_doors(pose: BakedPose, baked_scene: BakedScene, config: BakeCon
     Args:
         pose: the values of the next pose, with the doors of the last one.
         baked_scene: the values of the last bake or update.
+        cells: ids of the cells whose occupancy may have changed, ascending.
         config: all settings.
 
     Returns:
-        The values of the next pose, with its doors.
+        The doors of the next pose.
     """
     door_leaves = pose.door_leaves
     if not door_leaves:
-        return replace(pose, grid_doors=[])
+        return []
     old_pose = baked_scene.pose
+    changed_cells = _find_changed_cells(pose.occupants, old_pose.occupants, cells)
     is_changed_leaf = _mark_leaves_in_cells(
-        [leaf.blocked for leaf in door_leaves],
-        _mark_changed_cells(pose.occupants.blocked, old_pose.occupants.blocked),
+        door_leaves, changed_cells, baked_scene.structure.lattice
     )
-    if pose.occupants.blocked_squares and old_pose.occupants.blocked_squares:
-        is_changed_leaf |= _mark_leaves_in_cells(
-            [leaf.blocked_squares for leaf in door_leaves],
-            _mark_changed_cells(pose.occupants.blocked_squares, old_pose.occupants.blocked_squares),
-        )
     old_grid_doors = dict(zip(old_pose.door_leaves, old_pose.grid_doors, strict=True))
     grid_doors = []
     for leaf, is_changed in zip(door_leaves, is_changed_leaf.tolist(), strict=True):
@@ -269,38 +294,54 @@ def _update_grid_doors(pose: BakedPose, baked_scene: BakedScene, config: BakeCon
         if grid_door is None or is_changed:
             grid_door = make_grid_door(leaf, baked_scene.structure, pose.occupants, config)
         grid_doors.append(grid_door)
-    return replace(pose, grid_doors=grid_doors)
+    return grid_doors
 
 
-def _mark_changed_cells(new_layers: Sequence[Bool], old_layers: Sequence[Bool]) -> list[Bool]:
-    """Return for each level a mask, by cell id, of the cells in which its two layers differ."""
-    return [
-        (new_layer != old_layer).ravel()
-        for new_layer, old_layer in zip(new_layers, old_layers, strict=True)
+def _find_changed_cells(
+    new_occupants: MovableOccupants, old_occupants: MovableOccupants, cells: Int
+) -> list[Int]:
+    """Return for each level those of some cells whose occupancy differs between two poses."""
+    is_changed_by_level = [
+        new_layer.ravel()[cells] != old_layer.ravel()[cells]
+        for new_layer, old_layer in zip(new_occupants.blocked, old_occupants.blocked, strict=True)
     ]
+    if new_occupants.blocked_squares and old_occupants.blocked_squares:
+        for is_changed, new_layer, old_layer in zip(
+            is_changed_by_level,
+            new_occupants.blocked_squares,
+            old_occupants.blocked_squares,
+            strict=True,
+        ):
+            is_changed |= new_layer.ravel()[cells] != old_layer.ravel()[cells]
+    return [cells[is_changed] for is_changed in is_changed_by_level]
 
 
 def _mark_leaves_in_cells(
-    cells_by_leaf: Sequence[CellsByState], level_masks: Sequence[Bool]
+    leaves: Sequence[ClassifiedLeaf], cells_by_level: Sequence[Int], lattice: Lattice
 ) -> Bool:
-    """Mark the leaves that block any of the marked cells, in any of their states.
+    """Mark the leaves that block any of some cells, in any of their states.
 
     Args:
-        cells_by_leaf: for each leaf: state -> for each level, the cells that the leaf blocks.
-        level_masks: for each level, a flat mask of cells.
+        leaves: the leaves.
+        cells_by_level: for each level, ids of cells.
+        lattice: the whole lattice.
 
     Returns:
         A mask of the leaves, shape (n,).
     """
-    is_in_cells = np.zeros(len(cells_by_leaf), dtype=np.bool_)
-    for level, is_marked_cell in enumerate(level_masks):
+    is_in_cells = np.zeros(len(leaves), dtype=np.bool_)
+    for level, cells in enumerate(cells_by_level):
+        if not len(cells):
+            continue
+        is_marked_cell = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
+        is_marked_cell[cells] = True
+        # a leaf's disc covers its squares, so that `blocked` has all cells of `blocked_squares`
         leaf_numbers = list[int]()
         cell_chunks = list[Int]()
-        for leaf_number, cells_by_state in enumerate(cells_by_leaf):
-            for cells_of_levels in cells_by_state.values():
+        for leaf_number, leaf in enumerate(leaves):
+            for cells_of_levels in leaf.blocked.values():
                 leaf_numbers.append(leaf_number)
                 cell_chunks.append(cells_of_levels[level])
-        if cell_chunks:
-            leaf_of_cell = np.repeat(leaf_numbers, [len(cells) for cells in cell_chunks])
-            is_in_cells[leaf_of_cell[is_marked_cell[np.concatenate(cell_chunks)]]] = True
+        leaf_of_cell = np.repeat(leaf_numbers, [len(chunk) for chunk in cell_chunks])
+        is_in_cells[leaf_of_cell[is_marked_cell[np.concatenate(cell_chunks)]]] = True
     return is_in_cells

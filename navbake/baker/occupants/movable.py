@@ -174,7 +174,24 @@ def find_movable_occupants(
         ),
     )
     boxes = shapes.boxes[is_obstacle_geom[shapes.geom_of_box]]
-    return update_movable_occupants(no_occupants, inputs, shapes, is_obstacle_geom, boxes)
+    cells = find_affected_cells(inputs, boxes)
+    return update_movable_occupants(no_occupants, inputs, shapes, is_obstacle_geom, cells)
+
+
+def find_affected_cells(inputs: MovableSearchInputs, boxes: Float) -> Int:
+    """Find the cells whose occupants may change if geoms move.
+
+    Args:
+        inputs: the lattice and the footprint are read.
+        boxes: boxes around these geoms, before and after the move: lower corner, upper corner,
+            shape (n, 6) [m].
+
+    Returns:
+        Ids of the cells, ascending, shape (m,).
+    """
+    return find_cells_near_boxes(
+        inputs.lattice, boxes, inputs.footprint.half_width + 2 * TOUCH_DEPTH
+    )
 
 
 def update_movable_occupants(
@@ -182,20 +199,19 @@ def update_movable_occupants(
     inputs: MovableSearchInputs,
     shapes: Shapes,
     is_obstacle_geom: Bool,
-    boxes: Float,
+    cells: Int,
 ) -> MovableOccupants:
-    """Return the occupants after things moved; only cells near these boxes are searched again.
+    """Return the occupants after things moved; only some cells are searched again.
 
     Args:
         occupants: the occupants before the move; they are not changed.
         inputs: the floors, and the structure that stands on them.
         shapes: all geometry that the bake uses, in the new pose.
         is_obstacle_geom: mask by geom id of the geoms to search for, shape (ngeom,), bool.
-        boxes: bounding boxes of the geoms that moved, in the old and in the new pose, (n, 6) [m].
+        cells: ids of the cells to search again, ascending, see `find_affected_cells`.
     """
     lattice = inputs.lattice
     footprint = inputs.footprint
-    cells = find_cells_near_boxes(lattice, boxes, footprint.half_width + 2 * TOUCH_DEPTH)
     if not len(cells):
         return occupants
     entries = [list(row_chunks) for row_chunks in occupants.entries]

@@ -55,9 +55,9 @@ def test_only_what_is_near_is_looked_at(monkeypatch):
     looked_at = []
     find_again = module.update_movable_occupants
 
-    def spy(occupants, cells, **more):
-        looked_at.append(len(cells))
-        return find_again(occupants, cells, **more)
+    def spy(occupants, inputs, **more):
+        looked_at.append(len(more["cells"]))
+        return find_again(occupants, inputs, **more)
 
     monkeypatch.setattr(module, "update_movable_occupants", spy)
     changes = baker.update(bodies={"chair": [1.5, 1.2, 0.45]})
@@ -89,6 +89,42 @@ def test_changes_list_the_cells_that_differ():
     assert not changes.is_new
     nothing = baker.update()
     assert nothing.cells[0].size == 0
+
+
+@pytest.mark.parametrize("attributes", [[], ["island"], ["clearance"]])
+def test_changes_list_cells_far_from_what_moved(attributes):
+    """Doors, layers that follow from the whole grid, and levels that begin in a later row."""
+    bodies = """
+      <body name="chair" pos="1 1 0.4"><freejoint/><geom type="box" size="0.2 0.2 0.4"/></body>
+      <geom name="deck" type="box" pos="4.5 1.5 2.9" size="1.4 1.2 0.1"/>
+      <body name="lamp" pos="4 1 3.6"><freejoint/><geom type="box" size="0.2 0.2 0.6"/></body>"""
+    model = mujoco.MjModel.from_xml_string(ROOM.format(bodies=bodies))
+    settings = {"attributes": attributes, "levels": [{"ground": 0.0}, {"ground": 3.0}]}
+    baker = navbake.Baker(model, **settings)
+    assert baker.grid.levels[1].height < baker.grid.levels[0].height
+    moves = [
+        {"bodies": {"chair": [1.3, 1.0, 0.4]}},
+        {"bodies": {"lamp": [5.0, 1.2, 3.6]}},
+        {"bodies": {"chair": [1.3, 1.4, 0.4]}, "joints": {"hinge": 1.2}},
+        {"bodies": {"chair": [2.8, 2.2, 0.4]}},  # into the doorway
+        {"bodies": {"chair": [1.0, 4.0, 0.4]}},
+    ]
+    for move in moves:
+        before = baker.grid
+        changes = baker.update(**move)
+        assert changes.reason == ""
+        for cells, old, new in zip(changes.cells, before.levels, changes.grid.levels, strict=True):
+            assert cells.tolist() == np.flatnonzero(differing_cells(old, new)).tolist()
+        assert first_difference(changes.grid, fresh(baker, **settings)) is None
+
+
+def differing_cells(old, new):
+    """The cells in which any layer of two levels differs."""
+    differs = np.zeros(old.shape, dtype=np.bool_)
+    for name, layer in old.attributes.items():
+        other = new.attributes[name]
+        differs |= (layer != other) & ~((layer != layer) & (other != other))
+    return differs
 
 
 def test_boxes_of_names_are_measured_where_things_moved(monkeypatch):
