@@ -154,21 +154,24 @@ def find_row_runs(values: NDArray[Any]) -> RowRuns:
     Args:
         values: bool or integer, shape (rows, cols), at least one column.
     """
-    num_rows, num_cols = values.shape
-    # each row begins and ends with a change from and to 0, unless its first or last value is 0
-    is_change = np.empty((num_rows, num_cols + 1), dtype=np.bool_)
-    is_change[:, 0] = values[:, 0] != 0
-    np.not_equal(values[:, 1:], values[:, :-1], out=is_change[:, 1:-1])
-    is_change[:, -1] = values[:, -1] != 0
-    row, col = np.divmod(np.flatnonzero(is_change), num_cols + 1)
-    value_after_change = values[row, np.minimum(col, num_cols - 1)]
-    value_after_change[col == num_cols] = 0
-    run_indices = np.flatnonzero(value_after_change)
+    num_cols = values.shape[1]
+    flat_values = values.reshape(-1)
+    # a run, or a gap between runs, begins where the value changes, and in each row's first cell
+    is_begin = np.empty(len(flat_values), dtype=np.bool_)
+    np.not_equal(flat_values[1:], flat_values[:-1], out=is_begin[1:])
+    is_begin[::num_cols] = True
+    begin = np.flatnonzero(is_begin)
+    length = np.diff(begin, append=len(flat_values))
+    value = flat_values[begin]
+    run_indices = np.flatnonzero(value)
+    begin = begin[run_indices]
+    row = begin // num_cols
+    first_col = begin - row * num_cols
     return RowRuns(
-        row=row[run_indices],
-        first_col=col[run_indices],
-        end_col=col[run_indices + 1],
-        value=value_after_change[run_indices],
+        row=row,
+        first_col=first_col,
+        end_col=first_col + length[run_indices],
+        value=value[run_indices],
     )
 
 

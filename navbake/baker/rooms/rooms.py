@@ -287,9 +287,9 @@ class _RoomAssignment:
             return
         for level_number, flags in enumerate(self._flags.levels):
             room_number = self.room_numbers[level_number]
-            runs = find_row_runs(
-                np.where(flags.is_open & (room_number == 0), marked_rooms.labels[level_number], 0)
-            )
+            may_be_assigned = room_number == 0
+            may_be_assigned &= flags.is_open
+            runs = find_row_runs(marked_rooms.labels[level_number] * may_be_assigned)
             new_room_number = np.zeros(len(marked_rooms.names) + 1, dtype=np.int32)  # by label
             num_cells = runs.count_cells(runs.value, len(new_room_number))
             for room_index in np.flatnonzero(num_cells[1:]).tolist():
@@ -518,9 +518,9 @@ def find_openings(
         zip(room_index, floors, occupied_masks, strict=True)
     ):
         is_step_on_level = (steps[:, [0, 2]] == level_number).all(axis=1)
-        neighbor_pairs = list_differing_pairs(
-            room_of_cell
-        ).T  # few: only their heights are compared
+        neighbor_pairs = list_differing_pairs(room_of_cell)
+        are_in_rooms = (room_of_cell.ravel()[neighbor_pairs] > 0).all(axis=0)
+        neighbor_pairs = neighbor_pairs[:, are_in_rooms].T
         height_difference = np.subtract(*floor.ravel()[neighbor_pairs.T])
         is_step = np.abs(height_difference) <= max_step + LIMIT_SLACK
         cell_pairs = np.concatenate([steps[is_step_on_level][:, [1, 3]], neighbor_pairs[is_step]])

@@ -404,30 +404,39 @@ def mark_steep(label: Int32, floor: Float, cell_size: float) -> Bool:
         floor: heights of the floor [m].
         cell_size: the side of a cell, > 0 [m].
     """
+    height, width = label.shape
     reach = _steepness_reach(cell_size)
     min_rise = _min_steep_rise(cell_size)
     is_steep = np.zeros(label.shape, dtype=np.bool_)
 
     def mark_rows(first_row: int, end_row: int) -> None:
-        window = slice(max(first_row - reach, 0), end_row + reach)
-        lowest_floor = np.fmin.reduce(floor[window], axis=None)
-        if not np.fmax.reduce(floor[window], axis=None) - lowest_floor >= min_rise / 2:
-            return
-        floor_height = np.where(label[window] > 0, floor[window], np.nan)
-        squared_rise = np.zeros(floor_height.shape)  # over rows and columns together
-        for height_along, squared_rise_along in (
-            (floor_height, squared_rise),
-            (floor_height.T, squared_rise.T),
-        ):
-            rise = height_along[2 * reach :] - height_along[: -2 * reach]
-            rise *= rise
-            squared_rise_along[reach:-reach] += np.fmax(rise, 0.0, out=rise)  # NaN becomes 0
-        inner_rows = slice(first_row - window.start, end_row - window.start)
-        is_steep[first_row:end_row] = (squared_rise[inner_rows] >= min_rise**2) & (
-            label[first_row:end_row] > 0
+        # a steep floor rises by more than half of it along rows or along columns, as few floors do
+        is_candidate = np.zeros((end_row - first_row, width), dtype=np.bool_)
+        floor_of_rows = floor[first_row:end_row]
+        rise = floor_of_rows[:, 2 * reach :] - floor_of_rows[:, : -2 * reach]
+        is_candidate[:, reach:-reach] = np.abs(rise, out=rise) >= min_rise / 2
+        inner_begin = max(first_row, reach)
+        inner_end = max(min(end_row, height - reach), inner_begin)
+        floor_below = floor[inner_begin + reach : inner_end + reach]
+        rise = floor_below - floor[inner_begin - reach : inner_end - reach]
+        is_candidate[inner_begin - first_row : inner_end - first_row] |= (
+            np.abs(rise, out=rise) >= min_rise / 2
         )
+        cells = np.flatnonzero(is_candidate & (label[first_row:end_row] > 0))
+        row, col = np.divmod(cells, width)
+        row += first_row
+        squared_rise = np.zeros(len(cells))  # over rows and columns together
+        for row_step, col_step in ((reach, 0), (0, reach)):
+            is_inside = (row >= row_step) & (row < height - row_step)
+            is_inside &= (col >= col_step) & (col < width - col_step)
+            upper_cell = (row - row_step * is_inside, col - col_step * is_inside)
+            lower_cell = (row + row_step * is_inside, col + col_step * is_inside)
+            are_labelled = (label[upper_cell] > 0) & (label[lower_cell] > 0)
+            rise = np.where(are_labelled, floor[lower_cell] - floor[upper_cell], 0.0)
+            squared_rise += rise * rise
+        is_steep[row, col] = squared_rise >= min_rise**2
 
-    run_in_chunks(mark_rows, len(label), min_chunk_size=2 * reach)
+    run_in_chunks(mark_rows, height, min_chunk_size=2 * reach)
     return is_steep
 
 

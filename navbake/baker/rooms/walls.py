@@ -467,10 +467,8 @@ def _refine_angle(position: Float, bin_number: int, bin_width: float, strip_widt
     angles = bin_width * (bin_number + REFINEMENT_STEP * refinement_steps)
     strip_of_point = _find_strips(position, angles, strip_width)
     # the second with other bounds of strips, so that no wall falls between two strips
-    sharpness = np.maximum(
-        _measure_sharpness(strip_of_point.astype(np.int32)),
-        _measure_sharpness((strip_of_point + 0.5).astype(np.int32)),
-    )
+    wait_for_second = run_beside(_measure_sharpness, np.add(strip_of_point, 0.5).astype(np.int32))
+    sharpness = np.maximum(_measure_sharpness(strip_of_point.astype(np.int32)), wait_for_second())
     is_axis = angles % 90.0 == 0.0
     if (sharpness[is_axis] >= MIN_AXIS_SHARPNESS_SHARE * sharpness.max()).any():
         return float(angles[is_axis][0])
@@ -663,10 +661,10 @@ class WallRays:
         self._lattice = lattice
         self._floor = floor
         # of floors side by side at one height, one is enough
-        is_listed = ~np.isnan(floor)
-        is_listed[:, 1:] &= floor[:, 1:] != floor[:, :-1]
+        is_listed = np.ones(floor.shape, dtype=np.bool_)
+        np.not_equal(floor[:, 1:], floor[:, :-1], out=is_listed[:, 1:])
         heights = floor[is_listed]
-        heights = heights[np.append(True, heights[1:] != heights[:-1])] + RAY_HEIGHT
+        heights = heights[~np.isnan(heights)] + RAY_HEIGHT
         # most walls of a tower are on other levels
         is_box_at_rays = (walls.boxes[:, 2] <= heights.max() + TILE_MARGIN) & (
             walls.boxes[:, 5] >= heights.min() - TILE_MARGIN
@@ -738,33 +736,36 @@ class WallRays:
         positions = list[Float]()
         angles = list[Float]()
         num_rays = 0
-        for down, right in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            is_before_closed = is_closed[
-                1 + down : 1 + down + num_rows, 1 + right : 1 + right + num_cols
-            ]
-            rows_of_rays, cols_of_rays = np.divmod(
-                np.flatnonzero(has_floor & is_before_closed), num_cols
-            )
-            has_ray = (rows_of_rays + cols_of_rays) % cells_per_ray == 0
-            rows_of_rays = rows_of_rays[has_ray]
-            cols_of_rays = cols_of_rays[has_ray]
-            walls = self._rotate(make_direction(90.0 * abs(down), is_open.shape))
-            is_forward = np.full(len(rows_of_rays), down + right > 0)
+        for down, right in ((1, 0), (0, 1)):
+            rows = list[Int]()
+            cols = list[Int]()
+            for sign in (1, -1):
+                first_row = 1 + sign * down
+                first_col = 1 + sign * right
+                is_before_closed = is_closed[
+                    first_row : first_row + num_rows, first_col : first_col + num_cols
+                ]
+                row, col = np.divmod(np.flatnonzero(has_floor & is_before_closed), num_cols)
+                has_ray = (row + col) % cells_per_ray == 0
+                rows.append(row[has_ray])
+                cols.append(col[has_ray])
+            rows_of_rays = np.concatenate(rows)
+            cols_of_rays = np.concatenate(cols)
+            ray_sign = np.repeat([1, -1], [len(row) for row in rows])
+            walls = self._rotate(make_direction(90.0 * down, is_open.shape))
             distance, normal = self._cast(
-                walls, rows_of_rays, cols_of_rays, is_forward, np.zeros(1)
+                walls, rows_of_rays, cols_of_rays, ray_sign > 0, np.zeros(1)
             )
             # walls at less than 45° to the ray are met by rays along the other axis
             faces_ray = np.abs(normal[:, 2]) >= np.abs(normal[:, 0])
             num_rays += int(faces_ray.sum())
             meets_wall = faces_ray & np.isfinite(distance)
-            rows_of_rays = rows_of_rays[meets_wall]
-            cols_of_rays = cols_of_rays[meets_wall]
-            distance_in_cells = distance[meets_wall] / cell_size
+            cells_ahead = ray_sign[meets_wall] * (distance[meets_wall] / cell_size)
             positions.append(
                 np.stack(
                     [
-                        rows_of_rays + down * distance_in_cells,
-                        cols_of_rays + right * distance_in_cells,
+                        rows_of_rays[meets_wall] + down * cells_ahead,
+                        cols_of_rays[meets_wall] + right * cells_ahead,
                     ]
                 )
             )
