@@ -110,27 +110,44 @@ def _raise_ground_to_triangles(lattice, facets, tile_index, tile, lines, max_ris
     box = triangle_copy.box
     window = tile_window(lattice, tile)
     first_place = (tile - lines.first_tile) * CELLS_PER_TILE
-    low_z = np.inf
-    high_z = -np.inf
-    for line in range(lines.start[first_place], lines.start[first_place + CELLS_PER_TILE]):
-        low_z = min(low_z, lines.z[line])
-        high_z = max(high_z, lines.z[line])
+    first_line = lines.start[first_place]
+    end_line = lines.start[first_place + CELLS_PER_TILE]
+    lines_x_low = np.inf
+    lines_x_high = -np.inf
+    lines_y_low = np.inf
+    lines_y_high = -np.inf
+    lines_z_low = np.inf
+    lines_z_high = -np.inf
+    for line in range(first_line, end_line):
+        lines_x_low = min(lines_x_low, lines.points[line, 0])
+        lines_x_high = max(lines_x_high, lines.points[line, 0])
+        lines_y_low = min(lines_y_low, lines.points[line, 1])
+        lines_y_high = max(lines_y_high, lines.points[line, 1])
+        lines_z_low = min(lines_z_low, lines.z[line])
+        lines_z_high = max(lines_z_high, lines.z[line])
     reach = 0.5 * lattice.cell_size + RIM_WIDTH
     for entry in range(tile_index.triangle_start[tile], tile_index.triangle_start[tile + 1]):
         triangle = tile_index.triangle_indices[entry]
         if not faces_up(facets, triangle):
             continue
         copy_triangle(facets, triangle, triangle_copy)
-        if box[0, 5] - low_z < -max_rise or box[0, 2] - high_z > max_rise:
+        x_low = box[0, 0] - RIM_WIDTH
+        x_high = box[0, 3] + RIM_WIDTH
+        y_low = box[0, 1] - RIM_WIDTH
+        y_high = box[0, 4] + RIM_WIDTH
+        z_low = box[0, 2]
+        z_high = box[0, 5]
+        if (
+            x_high < lines_x_low
+            or x_low > lines_x_high
+            or y_high < lines_y_low
+            or y_low > lines_y_high
+            or z_high - lines_z_low < -max_rise
+            or z_low - lines_z_high > max_rise
+        ):
             continue
         row_first, row_end, col_first, col_end = window_near_box(lattice, window, box, 0, reach)
-        if col_first >= col_end:
-            continue
-        num_lines = 0
-        for row in range(row_first, row_end):
-            row_place = first_place + (row - window[0]) * TILE - window[2]
-            num_lines += lines.start[row_place + col_end] - lines.start[row_place + col_first]
-        if num_lines == 0 or unit_normal(corners[0], corners[1], corners[2])[2] <= 0.0:
+        if col_first >= col_end or unit_normal(corners[0], corners[1], corners[2])[2] <= 0.0:
             continue
         edge_limits = find_edge_limits(corners)
         for row in range(row_first, row_end):
@@ -138,7 +155,11 @@ def _raise_ground_to_triangles(lattice, facets, tile_index, tile, lines, max_ris
             for line in range(lines.start[row_place + col_first], lines.start[row_place + col_end]):
                 x = lines.points[line, 0]
                 y = lines.points[line, 1]
-                if is_beside(box, 0, x, y):
+                if x < x_low or x > x_high or y < y_low or y > y_high:
+                    continue
+                # a triangle that is no higher than the ground so far changes nothing
+                highest_rise = z_high - lines.z[line]
+                if highest_rise <= lines.rise[line] or highest_rise < -max_rise:
                     continue
                 crossing_kind, z = cross_triangle(corners, x, y, edge_limits)
                 if crossing_kind == 0 or abs(z - lines.z[line]) > max_rise:
