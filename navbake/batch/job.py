@@ -19,7 +19,6 @@ import numpy as np
 
 from navbake import samples
 from navbake._version import __version__
-from navbake.auditor.audit import audit
 from navbake.baker.bake.pipeline import run_bake
 from navbake.baker.scene.model import limit_mesh_cache
 from navbake.batch import store
@@ -49,6 +48,8 @@ from navbake.processes import is_lack_of_memory
 from navbake.types import Json
 from navbake.yaml_text import apply_overrides
 
+# loaded by workers that bake, not by the batch itself
+audit = lazy("navbake.auditor.audit")  # loads scipy
 notebook = lazy("navbake.views.notebook")  # loads Pillow
 
 # statuses of a row
@@ -462,7 +463,7 @@ def prepare_worker(products: Iterable[str], thumbnail: bool) -> None:
         if thumbnail:
             write_bytes(notebook.draw_thumbnail(grid), folder / THUMBNAIL_NAME)
         write_navgrid(grid, folder / GRID_NAME)
-    audit(grid)
+    audit.audit(grid)
 
 
 def _bake_and_write(plan: Plan, job: Job, begin_time: float) -> SceneRow:
@@ -498,7 +499,7 @@ def _bake_and_write(plan: Plan, job: Job, begin_time: float) -> SceneRow:
             "rooms": len(grid.rooms),
             "doors": len(grid.doors),
             "warnings": list(grid.warnings),
-            "audit": [str(remark) for remark in audit(grid).remarks],
+            "audit": [str(remark) for remark in audit.audit(grid).remarks],
             "inputs": scene.inputs,
             "stages": {name: round(seconds, SECONDS_DECIMALS) for name, seconds in timings.items()},
         }

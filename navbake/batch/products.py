@@ -12,7 +12,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from navbake.auditor.audit import audit
 from navbake.config.settings import BakeConfig
 from navbake.episodes.episode import CLASS_EDGES, EpisodeSet, Header
 from navbake.episodes.files import write_episodes
@@ -30,6 +29,7 @@ from navbake.types import Json
 from navbake.views.layers import LAYERS
 
 # loaded by the products that need them
+audit = lazy("navbake.auditor.audit")
 voxelize = lazy("navbake.baker.voxels.voxelize")
 plot = lazy("navbake.views.plot")
 report = lazy("navbake.views.report")
@@ -169,7 +169,7 @@ def make_product(product: str, grid: NavGrid, config: BakeConfig, folder: Path) 
         radius, *reach = map(float, values)
         _write_stands(grid, radius, (reach[0], reach[1]), folder / f"stand-{'-'.join(values)}.json")
     elif kind == "report":
-        report.write_report(grid, folder / REPORT_NAME, audits=[audit(grid)])
+        report.write_report(grid, folder / REPORT_NAME, audits=[audit.audit(grid)])
     else:
         return _make_episodes(grid, values, folder)
     return {}
