@@ -18,8 +18,11 @@ EOF
 
 ruff check
 ruff format --check
-mypy
+# mypy takes one core for long where it has no cache yet, so it runs beside the next step
+mypy &
+types=$!
 navbake warm-up # compiled once, before several processes need it
+wait "$types"
 # the processes share the cores; numpy's matrix products would start threads in each of them
 export OPENBLAS_NUM_THREADS=1
 # what JAX compiles is kept for the next run: for most of its tests, compiling takes the longest

@@ -13,12 +13,9 @@ from pathlib import Path
 import pytest
 
 import crew_jobs
-from batch_in_process import Told
+from batch_in_process import run_sources, stay_in_process
 from batch_processes import PATIENCE, digests, start_list, wait_for_grids, wait_until_gone
 from batch_scenes import write_scenes, wrong_rows
-from navbake.batch.job import Plan
-from navbake.batch.run import run_batch
-from navbake.batch.scenes import list_jobs
 from navbake.batch.workers import CRASHED, DONE, TOO_LONG, JobLimits, run_on_ray
 from project_paths import ROOT
 from ray_cluster import VARIABLES, two_nodes
@@ -32,7 +29,7 @@ OPTIONS = ("--time-limit", "10", "--memory-limit", "0.7", "--set", "grid.cell_si
 OPTIONS += ("--make", MAKE)
 
 
-def test_two_nodes_of_which_one_is_killed_make_the_same(tmp_path):
+def test_two_nodes_of_which_one_is_killed_make_the_same(tmp_path, monkeypatch):
     expected = write_scenes(tmp_path / "scenes", COUNT, endings=True)
     source = tmp_path / "scenes" / "list.jsonl"
     lines = [json.loads(line) for line in source.read_text().splitlines()]
@@ -40,8 +37,10 @@ def test_two_nodes_of_which_one_is_killed_make_the_same(tmp_path):
     source.write_text("".join(json.dumps(line) + "\n" for line in lines))
     del expected["takes"]
     good = [str(source.parent / line["scene"]) for line in lines if "id" not in line]
-    plan = Plan(tmp_path / "one", {"grid": {"cell_size": 0.1}}, products=(MAKE,))
-    run_batch(plan, list_jobs(good), Told())
+    with monkeypatch.context() as patch:
+        stay_in_process(patch)
+        settings = {"grid": {"cell_size": 0.1}}
+        run_sources(*good, settings=settings, out=tmp_path / "one", products=[MAKE])
     whole = digests(tmp_path / "one")
     assert len(whole) == 2 * COUNT
     with two_nodes(1) as nodes:

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 import navbake
-from batch_in_process import stay_in_process
+from batch_in_process import run_sources, stay_in_process
 from batch_processes import PATIENCE, Watcher, digests, start, wait_for_grids, wait_until_gone
 from batch_scenes import write_scenes
 from navbake import files
@@ -29,7 +29,8 @@ from report_pages import content_of_batch
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="how Linux ends processes")
 COUNT = 12
-COARSE = ("--set", "grid.cell_size=0.1")
+OVERRIDES = ("grid.cell_size=0.1",)
+COARSE = ("--set", *OVERRIDES)
 
 
 @pytest.fixture
@@ -259,9 +260,12 @@ def scenes(tmp_path_factory):
     """A folder with scenes and their list, and what an undisturbed batch makes of them."""
     folder = tmp_path_factory.mktemp("scenes")
     write_scenes(folder / "scenes", COUNT)
-    options = ("scenes/list.jsonl", "-o", "whole", "--jobs", "2", *COARSE)
-    with start("batch", *options, cwd=folder, stdout=subprocess.DEVNULL) as process:
-        assert process.wait(PATIENCE) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        stay_in_process(patch)  # what workers make is held against what this process makes
+        sources = str(folder / "scenes" / "list.jsonl")
+        options = {"settings": {}, "overrides": OVERRIDES, "out": folder / "whole"}
+        _, result = run_sources(sources, **options)
+    assert result.count("ok") == COUNT
     return folder, digests(folder / "whole")
 
 
