@@ -187,7 +187,10 @@ def gather_flags(
         is_bank = (flag_bits & STEEP_GROUND) > 0
         is_under_sky = (flag_bits & SKY) > 0
         is_window = find_windows(is_low, is_wall, lattice.cell_size)
-        is_open = ~np.isnan(level.floor) & ~is_wall & ~is_window
+        is_closed = np.isnan(level.floor)
+        is_closed |= is_wall
+        is_closed |= is_window
+        is_open = ~is_closed
         is_at_edge = is_open & ((flag_bits & TALL) == 0)
         is_at_edge &= mark_edge(is_empty | is_bank, ALL_SIDES) if is_bank.any() else is_at_outside
         # The extent if all cells at the edge are in one diagonal line: the largest that is possible
@@ -486,6 +489,8 @@ def _mark_by_polygons(
         ConfigError: the level of a polygon doesn't exist.
     """
     polygons = settings.polygons
+    if not polygons:
+        return MarkedRooms([], [])
     labels = [np.zeros(lattice.shape, dtype=np.int32) for _ in levels]
     warnings = []
     for polygon_number, polygon in enumerate(polygons):
@@ -564,11 +569,8 @@ def _find_upward_surfaces(scene: Scene, columns: ColumnSource, geoms: set[int]) 
             first_cell, end_cell = chunk.valid_rows.cell_range(chunk.lattice)
             hit_indices = np.flatnonzero(is_marking[chunk.geom])
             hit_indices = hit_indices[chunk.normal[hit_indices, 2] > 0]
-            cell_in_chunk = (
-                np.searchsorted(chunk.start[first_cell : end_cell + 1], hit_indices, side="right")
-                - 1
-            )
-            cells.append(first_cell + cell_in_chunk)
+            num_before_cell = np.searchsorted(hit_indices, chunk.start[first_cell : end_cell + 1])
+            cells.append(np.repeat(np.arange(first_cell, end_cell), np.diff(num_before_cell)))
             heights.append(chunk.z[hit_indices])
             geom_ids.append(chunk.geom[hit_indices])
     return _Surfaces(np.concatenate(cells), np.concatenate(heights), np.concatenate(geom_ids))

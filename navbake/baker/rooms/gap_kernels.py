@@ -268,24 +268,26 @@ def measure_runs(is_open, shift, is_marked):
     length_so_far = np.zeros(num_rows + 2 * num_cols, dtype=np.int32)
     for col in range(num_cols):
         line_of_first_row = num_cols - shift[col]
+        rows_to_previous = 0 if col == 0 else shift[col - 1] - shift[col]
         for row in range(num_rows):
+            if not is_open[row, col]:
+                continue
             line_number = row + line_of_first_row
             # a line that leaves the lattice at its upper or lower edge ends there
-            if is_open[row, col]:
-                previous_row = row if col == 0 else row - shift[col] + shift[col - 1]
-                is_continued = (
-                    col > 0 and 0 <= previous_row < num_rows and is_open[previous_row, col - 1]
-                )
-                # two lines of cells that touch at corners only don't cross
-                is_continued = is_continued and (
-                    is_open[previous_row, col] or is_open[row, col - 1]
-                )
-                length_so_far[line_number] = length_so_far[line_number] + 1 if is_continued else 1
-                is_marked[row, col] |= is_continued and is_marked[previous_row, col - 1]
-                run_length[row, col] = length_so_far[line_number]
+            previous_row = row + rows_to_previous
+            is_continued = (
+                col > 0 and 0 <= previous_row < num_rows and is_open[previous_row, col - 1]
+            )
+            # two lines of cells that touch at corners only don't cross
+            is_continued = is_continued and (is_open[previous_row, col] or is_open[row, col - 1])
+            length = length_so_far[line_number] + 1 if is_continued else 1
+            length_so_far[line_number] = length
+            is_marked[row, col] |= is_continued and is_marked[previous_row, col - 1]
+            run_length[row, col] = length
     for col in range(num_cols - 2, -1, -1):
+        rows_to_next = shift[col + 1] - shift[col]
         for row in range(num_rows):
-            next_row = row - shift[col] + shift[col + 1]
+            next_row = row + rows_to_next
             if (
                 run_length[row, col] == 0
                 or not 0 <= next_row < num_rows

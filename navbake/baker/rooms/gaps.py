@@ -150,10 +150,13 @@ def find_gaps(
     scanned_label = both_scan_orders(label)
     scanned_is_open = both_scan_orders(is_passable & ~is_closed)
     scanned_is_marked = both_scan_orders(is_marked)
-    crossings_by_order = [
-        _list_crossings(scanned_label[order], scanned_is_open[order], scanned_is_marked[order])
+    wait_functions = [
+        run_beside(
+            _list_crossings, scanned_label[order], scanned_is_open[order], scanned_is_marked[order]
+        )
         for order in (False, True)
     ]
+    crossings_by_order = [wait_for_crossings() for wait_for_crossings in wait_functions]
     direction_gaps = []
     for direction, direction_marks in zip(directions, marks, strict=True):
         depths_in_rows = np.array(

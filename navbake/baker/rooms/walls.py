@@ -729,56 +729,71 @@ class WallRays:
             wall at less than 45° are not.
         """
         is_closed = np.pad(~is_open, 1, mode="edge")
-        cell_size = self._lattice.cell_size
         has_floor = is_open & ~np.isnan(self._floor)
+        cell_size = self._lattice.cell_size
         cells_per_ray = max(1, int(POINT_SPACING / cell_size))  # one of this many cells has a ray
-        num_rows, num_cols = is_open.shape
-        positions = list[Float]()
-        angles = list[Float]()
-        num_rays = 0
-        for down, right in ((1, 0), (0, 1)):
-            rows = list[Int]()
-            cols = list[Int]()
-            for sign in (1, -1):
-                first_row = 1 + sign * down
-                first_col = 1 + sign * right
-                is_before_closed = is_closed[
-                    first_row : first_row + num_rows, first_col : first_col + num_cols
-                ]
-                row, col = np.divmod(np.flatnonzero(has_floor & is_before_closed), num_cols)
-                has_ray = (row + col) % cells_per_ray == 0
-                rows.append(row[has_ray])
-                cols.append(col[has_ray])
-            rows_of_rays = np.concatenate(rows)
-            cols_of_rays = np.concatenate(cols)
-            ray_sign = np.repeat([1, -1], [len(row) for row in rows])
-            walls = self._rotate(make_direction(90.0 * down, is_open.shape))
-            distance, normal = self._cast(
-                walls, rows_of_rays, cols_of_rays, ray_sign > 0, np.zeros(1)
-            )
-            # walls at less than 45° to the ray are met by rays along the other axis
-            faces_ray = np.abs(normal[:, 2]) >= np.abs(normal[:, 0])
-            num_rays += int(faces_ray.sum())
-            meets_wall = faces_ray & np.isfinite(distance)
-            cells_ahead = ray_sign[meets_wall] * (distance[meets_wall] / cell_size)
-            positions.append(
-                np.stack(
-                    [
-                        rows_of_rays[meets_wall] + down * cells_ahead,
-                        cols_of_rays[meets_wall] + right * cells_ahead,
-                    ]
-                )
-            )
-            x, y, _ = walls.axes.T @ normal[meets_wall].T
-            angles.append(np.mod(np.rad2deg(np.arctan2(-y, x)) + 90.0, 180.0))
+        wait_for_points_along_cols = run_beside(
+            self._find_points_along, (1, 0), is_closed, has_floor, cells_per_ray
+        )
+        points_along_rows = self._find_points_along((0, 1), is_closed, has_floor, cells_per_ray)
+        points_by_axis = [wait_for_points_along_cols(), points_along_rows]
         points = WallPoints(
-            position=np.concatenate(positions, axis=1),
-            angle=np.concatenate(angles),
+            position=np.concatenate([position for position, _, _ in points_by_axis], axis=1),
+            angle=np.concatenate([angle for _, angle, _ in points_by_axis]),
             spacing=cells_per_ray * cell_size,
             bin_width=GEOMETRY_BIN_WIDTH,
             strip_width=GEOMETRY_STRIP_WIDTH / cell_size,
         )
-        return points, num_rays
+        return points, sum(num_rays for _, _, num_rays in points_by_axis)
+
+    def _find_points_along(
+        self, axis: tuple[int, int], is_closed: Bool, has_floor: Bool, cells_per_ray: int
+    ) -> tuple[Float, Float, int]:
+        """Find points on walls by rays along an axis of the lattice, in both directions.
+
+        Args:
+            axis: the step along the axis: rows down and columns to the right, (1, 0) or (0, 1).
+            is_closed: a mask of the cells with a wall, with a border of one cell, shape (height +
+                2, width + 2).
+            has_floor: a mask of the cells with a floor and without a wall, shape (height, width).
+            cells_per_ray: rays are cast from one of so many cells next to closed cells.
+
+        Returns:
+            The points' rows and columns, shape (2, n) [cells]; the walls' angles there, shape (n,),
+            see `WallPoints.angle` [°]; and the number of rays, see `find_points`.
+        """
+        down, right = axis
+        num_rows, num_cols = has_floor.shape
+        rows = list[Int]()
+        cols = list[Int]()
+        for sign in (1, -1):
+            first_row = 1 + sign * down
+            first_col = 1 + sign * right
+            is_before_closed = is_closed[
+                first_row : first_row + num_rows, first_col : first_col + num_cols
+            ]
+            row, col = np.divmod(np.flatnonzero(has_floor & is_before_closed), num_cols)
+            has_ray = (row + col) % cells_per_ray == 0
+            rows.append(row[has_ray])
+            cols.append(col[has_ray])
+        rows_of_rays = np.concatenate(rows)
+        cols_of_rays = np.concatenate(cols)
+        ray_sign = np.repeat([1, -1], [len(row) for row in rows])
+        walls = self._rotate(make_direction(90.0 * down, has_floor.shape))
+        distance, normal = self._cast(walls, rows_of_rays, cols_of_rays, ray_sign > 0, np.zeros(1))
+        # walls at less than 45° to the ray are met by rays along the other axis
+        faces_ray = np.abs(normal[:, 2]) >= np.abs(normal[:, 0])
+        meets_wall = faces_ray & np.isfinite(distance)
+        cells_ahead = ray_sign[meets_wall] * (distance[meets_wall] / self._lattice.cell_size)
+        position = np.stack(
+            [
+                rows_of_rays[meets_wall] + down * cells_ahead,
+                cols_of_rays[meets_wall] + right * cells_ahead,
+            ]
+        )
+        x, y, _ = walls.axes.T @ normal[meets_wall].T
+        angle = np.mod(np.rad2deg(np.arctan2(-y, x)) + 90.0, 180.0)
+        return position, angle, int(faces_ray.sum())
 
     def _cast(
         self, walls: RotatedWalls, row: Int, col: Int, is_forward: Bool, ray_offsets: Float
