@@ -148,7 +148,10 @@ class Lattice(NamedTuple):
         """
         x = self.x_min + (np.asarray(cols) + 0.5) * self.cell_size
         y = self.y_max - (np.asarray(rows) + 0.5) * self.cell_size
-        return np.stack(np.broadcast_arrays(x, y), axis=-1)
+        positions = np.empty((*np.broadcast(x, y).shape, 2))
+        positions[..., 0] = x
+        positions[..., 1] = y
+        return positions
 
     @overload
     def holds(self, rows: int, cols: int) -> bool: ...

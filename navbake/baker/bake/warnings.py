@@ -263,7 +263,9 @@ def _warn_movable(baked_structure: BakedStructure, baked_pose: BakedPose) -> Ite
     movable_bodies = np.flatnonzero(num_blocked_cells)
     # Structure among them is a leaf that hangs on no joint.
     movable_bodies = movable_bodies[~scene.is_structure_body[movable_bodies]]
-    is_robot_body = np.isin(movable_bodies, list(scene.actuated_bodies))
+    is_actuated_body = np.zeros(len(scene.is_structure_body), dtype=np.bool_)
+    is_actuated_body[[*scene.actuated_bodies]] = True
+    is_robot_body = is_actuated_body[movable_bodies]
     robot_bodies = movable_bodies[is_robot_body]
     other_bodies = movable_bodies[~is_robot_body]
 

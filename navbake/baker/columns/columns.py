@@ -400,7 +400,7 @@ def cast_points(
     """
     tiles_of_lines = tile_of(tiled_shapes.lattice, cells)
     if tiles_of_lines.ndim == 1:
-        tiles_of_lines = np.stack([tiles_of_lines, tiles_of_lines], axis=1)
+        tiles_of_lines = tiles_of_lines.repeat(2).reshape(-1, 2)
     return _cast_groups(
         tiled_shapes,
         lines=Lines(np.ascontiguousarray(points), tiles_of_lines, axes),

@@ -173,7 +173,8 @@ class Shapes:
 
         A large height field has several boxes, one around each of its pieces.
         """
-        plane_boxes = np.tile(np.repeat([-np.inf, np.inf], 3), (len(self.planes.geom), 1))
+        plane_boxes = np.full((len(self.planes.geom), 6), np.inf)
+        plane_boxes[:, :3] = -np.inf
         return np.concatenate([self.solids.bounds, self.meshes.boxes, plane_boxes])
 
     @cached_property
@@ -362,8 +363,8 @@ def solid_bounds(kind: Int32, pos: Float, mat: Float, size: Float) -> Float:
     Returns:
         Lower corner, upper corner, shape (n, 6) [m].
     """
-    axes = mat.reshape(-1, 3, 3)
-    half_sides = np.stack([support_distances(kind, axes[:, k], size) for k in range(3)], axis=1)
+    axes = mat.reshape(-1, 3)  # x, y and z of the world in the frame of each solid
+    half_sides = support_distances(kind.repeat(3), axes, size.repeat(3, axis=0)).reshape(-1, 3)
     return np.concatenate([pos - half_sides, pos + half_sides], axis=1)
 
 

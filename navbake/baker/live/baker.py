@@ -10,7 +10,6 @@ import threading
 import time
 import warnings
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -180,8 +179,6 @@ class Baker:
                 reason = str(full_bake_required)
                 LOG.debug("the whole scene is baked again: %s", reason)
                 baked_scene = self._bake(self._scene_model._replace(data=change.scene.data))
-            # It was computed on another thread meanwhile.
-            baked_scene = _with_digest(baked_scene, change.wait_for_digest())
             grid = build_grid(self._config, baked_scene.structure, baked_scene.pose)
             cells, is_new = _find_changed_cells(self._grid, grid, baked_scene)
             self._tracked_scene.commit(baked_scene.pose.scene, change.snapshot)
@@ -204,11 +201,6 @@ class Baker:
             geoms_of_name=geoms_of_name,
             changed_rows=slice(0, structure.lattice.height),
         )
-
-
-def _with_digest(baked_scene: BakedScene, digest: str) -> BakedScene:
-    scene = replace(baked_scene.pose.scene, digest=digest)
-    return baked_scene._replace(pose=replace(baked_scene.pose, scene=scene))
 
 
 def _find_changed_cells(

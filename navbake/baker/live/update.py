@@ -23,8 +23,10 @@ from navbake.baker.doors.doors import (
     closes_same_cells,
     mark_obstacle_geoms,
     move_leaf,
+    select_doors,
 )
 from navbake.baker.doors.posed_leaves import find_blocked_cells, pose_leaves
+from navbake.baker.geometry.shapes import Shapes
 from navbake.baker.links.areas import paint_areas
 from navbake.baker.links.links import bake_links
 from navbake.baker.live.tracked_scene import SceneChange
@@ -93,7 +95,9 @@ def update_baked_scene(
     scene = change.scene
     if change.full_bake_reason:
         raise FullBakeRequired(change.full_bake_reason)
-    if fit_lattice(scene, config) != structure.lattice:
+    # the box round what stands makes the lattice; where it has none, that round all geoms does
+    is_same_box = scene.bounds is not None and scene.bounds is old_pose.scene.bounds
+    if not is_same_box and fit_lattice(scene, config) != structure.lattice:
         raise FullBakeRequired("the grid is another one: the box round the scene has changed")
     leaves = _update_leaves(baked_scene, scene)
     is_obstacle_geom = mark_obstacle_geoms(scene, leaves, config)
@@ -106,7 +110,9 @@ def update_baked_scene(
         ]
     )
     cells = find_affected_cells(baked_scene.movable_inputs, changed_boxes)
-    pose = replace(old_pose, scene=scene, leaves=leaves, is_obstacle_geom=is_obstacle_geom)
+    occupants = old_pose.occupants
+    lost_floor_areas = old_pose.lost_floor_areas
+    grid_doors = old_pose.grid_doors
     with limit_threads(1 if len(changed_boxes) < MIN_BOXES_FOR_THREADS else None):
         if is_changed_geom.any():
             occupants = update_movable_occupants(
@@ -116,19 +122,20 @@ def update_baked_scene(
                 is_obstacle_geom=is_obstacle_geom,
                 cells=cells,
             )
-            lost_floor_areas = _update_lost_floors(pose, structure, is_changed_geom, config)
-            pose = replace(pose, occupants=occupants, lost_floor_areas=lost_floor_areas)
-        if leaves is not old_pose.leaves or pose.occupants is not old_pose.occupants:
-            grid_doors = _update_grid_doors(pose, baked_scene, cells, config)
-            pose = replace(pose, grid_doors=grid_doors)
+            lost_floor_areas = _update_lost_floors(
+                scene, is_obstacle_geom, is_changed_geom, baked_scene, config
+            )
+        if leaves is not old_pose.leaves or occupants is not old_pose.occupants:
+            grid_doors = _update_grid_doors(leaves, occupants, cells, baked_scene, config)
+    name_boxes = old_pose.name_boxes
     if baked_scene.geoms_of_name and change.is_changed_geom.any():
-        name_boxes = _update_name_boxes(pose, baked_scene, change.is_changed_geom)
-        pose = replace(pose, name_boxes=name_boxes)
+        name_boxes = _update_name_boxes(scene.shapes, change.is_changed_geom, baked_scene)
+    areas = old_pose.areas
     if config.areas:
         areas = paint_areas(
             scene, structure.lattice, structure.floors.levels, structure.rooms, config
         )
-        pose = replace(pose, areas=areas)
+    links = old_pose.links
     if config.links:
         links = bake_links(
             scene,
@@ -137,15 +144,27 @@ def update_baked_scene(
             geometry=structure.link_geometry,
             leaves=leaves,
             is_obstacle_geom=is_obstacle_geom,
-            occupied=pose.occupants.blocked,
+            occupied=occupants.blocked,
             config=config,
         )
-        pose = replace(pose, links=links)
     # doors, areas, islands and clearance may change far from what moved
     changed_rows = slice(0, structure.lattice.height)
     changes_anywhere = config.areas or config.attributes
-    if not changes_anywhere and _are_same_doors(pose.grid_doors, old_pose.grid_doors):
+    if not changes_anywhere and _are_same_doors(grid_doors, old_pose.grid_doors):
         changed_rows = _rows_of_cells(cells, structure.lattice)
+    pose = replace(
+        old_pose,
+        # the digest was computed on another thread meanwhile
+        scene=replace(scene, digest=change.wait_for_digest()),
+        leaves=leaves,
+        is_obstacle_geom=is_obstacle_geom,
+        occupants=occupants,
+        lost_floor_areas=lost_floor_areas,
+        grid_doors=grid_doors,
+        areas=areas,
+        links=links,
+        name_boxes=name_boxes,
+    )
     return baked_scene._replace(pose=pose, changed_rows=changed_rows)
 
 
@@ -204,86 +223,98 @@ def _update_leaves(baked_scene: BakedScene, scene: Scene) -> list[ClassifiedLeaf
 
 
 def _update_lost_floors(
-    pose: BakedPose, structure: BakedStructure, is_changed_geom: Bool, config: BakeConfig
+    scene: Scene,
+    is_obstacle_geom: Bool,
+    is_changed_geom: Bool,
+    baked_scene: BakedScene,
+    config: BakeConfig,
 ) -> dict[int, float]:
     """Measure again how much floor each movable body would carry if it could not move.
 
     Only bodies with changed geoms are measured again.
 
     Args:
-        pose: the values of the next pose, with the areas of the last one.
-        structure: all that follows from structure.
-        is_changed_geom: the geoms that have changed, (ngeom,).
+        scene: the scene in the next pose.
+        is_obstacle_geom: the geoms that only block cells in the next pose, (ngeom,).
+        is_changed_geom: those that are or were such geoms and have changed, (ngeom,).
+        baked_scene: the values of the last bake or update.
         config: all settings.
 
     Returns:
         Id of the body -> the area [m²], see `BakedPose.lost_floor_areas`.
     """
-    scene = pose.scene
+    structure = baked_scene.structure
     mover_of_geom = scene.mover_of_geom
     is_changed_body = np.zeros(len(scene.is_structure_body), dtype=np.bool_)
     is_changed_body[mover_of_geom[is_changed_geom]] = True
     changed_lost_areas = find_lost_floors(
         scene.shapes,
-        pose.is_obstacle_geom & is_changed_body[mover_of_geom],
+        is_obstacle_geom & is_changed_body[mover_of_geom],
         mover_of_geom=mover_of_geom,
         levels=structure.floors.levels,
         lattice=structure.lattice,
         agent=config.agent,
     )
     lost_areas = {
-        body: area for body, area in pose.lost_floor_areas.items() if not is_changed_body[body]
+        body: area
+        for body, area in baked_scene.pose.lost_floor_areas.items()
+        if not is_changed_body[body]
     }
     lost_areas |= changed_lost_areas
     return dict(sorted(lost_areas.items()))
 
 
 def _update_name_boxes(
-    pose: BakedPose, baked_scene: BakedScene, is_changed_geom: Bool
+    shapes: Shapes, is_changed_geom: Bool, baked_scene: BakedScene
 ) -> dict[str, list[float]]:
     """Measure again the boxes round the geoms of each name that a changed geom has.
 
     Args:
-        pose: the values of the next pose, with the boxes of the last one.
-        baked_scene: the values of the last bake or update.
+        shapes: all geometry that the bake uses, in the next pose.
         is_changed_geom: the geoms that have changed, (ngeom,).
+        baked_scene: the values of the last bake or update.
 
     Returns:
         Name -> its box, see `BakedPose.name_boxes`.
     """
-    scene = pose.scene
+    old_boxes = baked_scene.pose.name_boxes
     assert baked_scene.structure.occupants is not None  # it has the names
     names = baked_scene.structure.occupants.names
     changed_names = {names[geom] for geom in np.flatnonzero(is_changed_geom).tolist()}
     geoms = [geom for name in changed_names for geom in baked_scene.geoms_of_name[name]]
-    changed_boxes = measure_names(scene.shapes, np.array(geoms), [names[geom] for geom in geoms])
-    if changed_boxes.keys() == changed_names and changed_names <= pose.name_boxes.keys():
-        return {**pose.name_boxes, **changed_boxes}
+    changed_boxes = measure_names(shapes, np.array(geoms), [names[geom] for geom in geoms])
+    if changed_boxes.keys() == changed_names and changed_names <= old_boxes.keys():
+        return {**old_boxes, **changed_boxes}
     # a name has got a box, or lost it: the order of all names changes
-    return measure_names(scene.shapes, np.arange(len(names)), names)
+    return measure_names(shapes, np.arange(len(names)), names)
 
 
 def _update_grid_doors(
-    pose: BakedPose, baked_scene: BakedScene, cells: Int, config: BakeConfig
+    leaves: list[ClassifiedLeaf],
+    occupants: MovableOccupants,
+    cells: Int,
+    baked_scene: BakedScene,
+    config: BakeConfig,
 ) -> list[GridDoor]:
     """Bring the doors of the grid up to date.
 
     A door is made again if it moved, or if the occupancy of a cell that it blocks changed.
 
     Args:
-        pose: the values of the next pose, with the doors of the last one.
-        baked_scene: the values of the last bake or update.
+        leaves: all leaves in the next pose.
+        occupants: the cells that anything but a door blocks in the next pose.
         cells: ids of the cells whose occupancy may have changed, ascending.
+        baked_scene: the values of the last bake or update.
         config: all settings.
 
     Returns:
         The doors of the next pose.
     """
-    door_leaves = pose.door_leaves
+    door_leaves = select_doors(leaves)
     if not door_leaves:
         return []
     old_pose = baked_scene.pose
-    changed_cells = _find_changed_cells(pose.occupants, old_pose.occupants, cells)
+    changed_cells = _find_changed_cells(occupants, old_pose.occupants, cells)
     is_changed_leaf = _mark_leaves_in_cells(
         door_leaves, changed_cells, baked_scene.structure.lattice
     )
@@ -292,7 +323,7 @@ def _update_grid_doors(
     for leaf, is_changed in zip(door_leaves, is_changed_leaf.tolist(), strict=True):
         grid_door = old_grid_doors.get(leaf)
         if grid_door is None or is_changed:
-            grid_door = make_grid_door(leaf, baked_scene.structure, pose.occupants, config)
+            grid_door = make_grid_door(leaf, baked_scene.structure, occupants, config)
         grid_doors.append(grid_door)
     return grid_doors
 

@@ -49,7 +49,7 @@ def find_lost_floors(
     # an endless geom counts as far as the lattice reaches
     boxes = clip_boxes(lattice, shapes.boxes[is_checked_box], 0.0)
     movers = mover_of_geom[geom_of_box[is_checked_box]]
-    box_areas = np.clip(boxes[:, 3:5] - boxes[:, :2], 0.0, None).prod(axis=1)
+    box_areas = np.maximum(boxes[:, 3:5] - boxes[:, :2], 0.0).prod(axis=1)
     large_movers = np.flatnonzero(np.bincount(movers, box_areas) >= min_area)
     area_of_mover = dict[int, float]()
     for mover in large_movers.tolist():
