@@ -57,8 +57,9 @@ if TYPE_CHECKING:
     import mujoco
 
 MAX_COPIED_BYTES = 1 << 20  # larger arrays are hashed without a copy
-# More bytes than this are hashed in a thread; fewer are hashed before a thread would start [bytes]
-MIN_THREAD_BYTES = 1 << 17
+# More bytes than this are hashed in a thread; fewer take no longer than the threads' taking turns
+# at Python's global lock [bytes]
+MIN_THREAD_BYTES = 1 << 19
 # A scene that is higher or whose box has a longer side, or a scene whose box has only shorter
 # sides, is probably not in metres [m]
 MAX_SCENE_HEIGHT = 100.0
