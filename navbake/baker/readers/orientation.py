@@ -423,15 +423,11 @@ def _find_axes(normal: Float, area: Float) -> list[Float]:
     faced_axes = np.flatnonzero(area_of_axis)  # few, as in most scenes most surfaces are flat
     is_near_faced_axis = np.abs(axes @ axes[faced_axes].T) >= MIN_FACING_COSINE
     facing_area = is_near_faced_axis @ area_of_axis[faced_axes]
+    area_normal = normal * area[:, None]
     directions: list[Float] = []
     for _ in range(MAX_SEARCHED_AXES):
         start_axis = axes[facing_area.argmax()]
-        direction = start_axis
-        for _ in range(NUM_FIT_ITERATIONS):
-            # The mean direction of the triangles near it: the eigenvector of the largest eigenvalue
-            is_facing = np.abs(normal @ direction) >= MIN_FACING_COSINE
-            weighted_normals = normal[is_facing] * area[is_facing, None]
-            direction = np.linalg.eigh(weighted_normals.T @ normal[is_facing])[1][:, 2]
+        direction = _fit_axis(start_axis, normal, area_normal)
         if all(
             abs(direction @ earlier_direction) < MIN_FACING_COSINE
             for earlier_direction in directions
@@ -443,6 +439,32 @@ def _find_axes(normal: Float, area: Float) -> list[Float]:
         if not facing_area.any():
             break
     return directions
+
+
+def _fit_axis(axis: Float, normal: Float, area_normal: Float) -> Float:
+    """Return the mean direction of the triangles that face nearly along an axis, or against it.
+
+    The triangles are selected again by the mean direction, up to `NUM_FIT_ITERATIONS` times.
+
+    Args:
+        axis: a unit vector, (3,).
+        normal: the triangles' unit normals, (n, 3).
+        area_normal: these normals times the triangles' areas, (n, 3) [m²].
+
+    Returns:
+        A unit vector, (3,).
+    """
+    is_facing = np.empty(0, dtype=np.bool_)  # no triangles were selected before
+    for _ in range(NUM_FIT_ITERATIONS):
+        was_facing = is_facing
+        is_facing = np.abs(normal @ axis) >= MIN_FACING_COSINE
+        if np.array_equal(is_facing, was_facing):  # no further iteration changes anything
+            break
+        triangles = np.flatnonzero(is_facing)
+        # the eigenvector of the largest eigenvalue
+        covariance = area_normal.take(triangles, axis=0).T @ normal.take(triangles, axis=0)
+        axis = np.linalg.eigh(covariance)[1][:, 2]
+    return axis
 
 
 class _Plane(NamedTuple):
@@ -493,18 +515,23 @@ def _find_planes(axis: Float, sample: TriangleSample) -> list[_Plane]:
         normal = axis
         is_member = np.abs((centers - center) @ axis) <= 2 * PLANE_THICKNESS
         for _ in range(NUM_FIT_ITERATIONS):
-            total_area = areas[is_member].sum()
-            center = areas[is_member] @ centers[is_member] / total_area
-            center_offsets = centers[is_member] - center
+            members = np.flatnonzero(is_member)
+            member_areas = areas[members]
+            total_area = member_areas.sum()
+            center_offsets = centers.take(members, axis=0)
+            center = member_areas @ center_offsets / total_area
+            center_offsets -= center
             # The centres' principal axes, by ascending variance: the first is the plane's normal.
             variances, principal_axes = np.linalg.eigh(
-                (center_offsets * areas[is_member, None]).T @ center_offsets
+                (center_offsets * member_areas[:, None]).T @ center_offsets
             )
             if variances[1] > MIN_PLANE_VARIANCE * total_area:
                 normal = principal_axes[:, 0]
                 if not normal @ axis > 0:
                     normal = -normal
             is_near = np.abs((centers - center) @ normal) <= PLANE_THICKNESS
+            if np.array_equal(is_near, is_member):  # no further iteration changes anything
+                break
             is_member = is_near if is_near.any() else is_member
         normals = sample.normal[remaining_triangles][is_member]
         normal = _refine_normal(normal, normals, areas[is_member])
