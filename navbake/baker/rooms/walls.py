@@ -26,6 +26,7 @@ from navbake.threads import run_beside, run_in_chunks
 from navbake.types import Bool, Float, Int, Int32, ScalarT
 
 MIN_CHUNK_COLUMNS = 64  # the fewest columns that one thread sweeps
+NODES_PER_PIECE = 1 << 12  # nodes whose distances are measured together; more would need memory
 ROWS_PER_COPY = 64  # rows that are copied together to Fortran order
 NO_ROWS = np.empty((0, 0), dtype=np.int32)  # `squared` in the first call of `sweep_distances`
 
@@ -164,23 +165,21 @@ def measure_squared_distances_at(is_open: Bool, reach: int, node_row: Int, node_
         NO_ROWS,
         min_chunk_size=MIN_CHUNK_COLUMNS,
     )
-    least_squared_distance = np.full(len(node_row), (reach + 1) ** 2)
-    # the cells above and below each node; the same cell where the node is at its middle
-    row_above = (node_row + 1) // 2
-    row_below = (node_row + 2) // 2
-    for col_shift in range(-(reach // 2) - 1, reach // 2 + 3):
-        cell_col = np.clip(node_col // 2 + col_shift, 0, num_cols - 1)
+    squared_distance = np.empty(len(node_row), dtype=np.int64)
+    col_shifts = np.arange(-(reach // 2) - 1, reach // 2 + 3)
+    for first_node in range(0, len(node_row), NODES_PER_PIECE):
+        nodes = slice(first_node, first_node + NODES_PER_PIECE)
+        row = node_row[nodes, None]
+        col = node_col[nodes, None]
+        cell_col = np.clip(col // 2 + col_shifts, 0, num_cols - 1)
+        # from the cells above and below each node; the same cell where the node is at its middle
         rows_away = np.minimum(
-            column_distance[row_above, cell_col], column_distance[row_below, cell_col]
+            column_distance[(row + 1) // 2, cell_col], column_distance[(row + 2) // 2, cell_col]
         )
-        nodes_down = np.maximum(2 * rows_away.astype(np.int64) - node_row % 2, 0)
-        nodes_right = np.abs(2 * cell_col - 1 - node_col) - 1  # cells are two nodes wide
-        np.minimum(
-            least_squared_distance,
-            nodes_down**2 + np.maximum(nodes_right, 0) ** 2,
-            out=least_squared_distance,
-        )
-    return least_squared_distance
+        nodes_down = np.maximum(2 * rows_away.astype(np.int64) - row % 2, 0)
+        nodes_right = np.maximum(np.abs(2 * cell_col - 1 - col) - 1, 0)  # cells: two nodes wide
+        squared_distance[nodes] = (nodes_down**2 + nodes_right**2).min(axis=1)
+    return np.minimum(squared_distance, (reach + 1) ** 2)
 
 
 def mark_wall_nodes(is_open: Bool) -> Bool:
