@@ -163,17 +163,18 @@ def _find_steep_facets(
         return hit_indices, hit_indices
     # all other columns may be invalid; the hits of these are in the order of their cells
     first_cell, end_cell = columns.valid_rows.cell_range(columns.lattice)
-    cells = np.arange(first_cell, end_cell)
+    first_hits = columns.start[first_cell:end_cell]
+    end_hits = columns.start[first_cell + 1 : end_cell + 1]
     if is_selected is not None:
-        cells = np.flatnonzero(is_selected)
-    first_hits = columns.start[cells]
-    end_hits = columns.start[cells + 1]
+        selected_cells = np.flatnonzero(is_selected)
+        first_hits = columns.start[selected_cells]
+        end_hits = columns.start[selected_cells + 1]
     # of several columns that begin at the same hit, all but the last are empty
     column_index = np.searchsorted(first_hits, hit_indices, side="right") - 1
     is_in_column = (column_index >= 0) & (hit_indices < end_hits[column_index])
     column_index = column_index[is_in_column]
     hit_indices = hit_indices[is_in_column]
-    cell_ids = cells[column_index]
+    cell_ids = first_cell + column_index if is_selected is None else selected_cells[column_index]
     low_z = columns.z[hit_indices] + SAME_HEIGHT
     high_z = columns.z[hit_indices] + limits.headroom - LIMIT_SLACK
     lacks_headroom = np.empty(len(hit_indices), dtype=np.bool_)
