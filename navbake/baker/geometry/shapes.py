@@ -258,13 +258,15 @@ class Shapes:
                 array[indices] = values
             return type(old_primitives)._make(arrays)
 
-        triangles = list(self.meshes.triangles)
-        boxes = self.meshes.boxes.copy()
-        indices = np.flatnonzero(is_replaced[self.meshes.geom])
-        boxes[indices] = new_shapes.meshes.boxes
-        for n, new_triangles in zip(indices.tolist(), new_shapes.meshes.triangles, strict=True):
-            triangles[n] = new_triangles
-        meshes = Meshes(self.meshes.geom, triangles, boxes)
+        meshes = self.meshes
+        indices = np.flatnonzero(is_replaced[meshes.geom])
+        if len(indices):
+            triangles = list(meshes.triangles)
+            for n, new_triangles in zip(indices.tolist(), new_shapes.meshes.triangles, strict=True):
+                triangles[n] = new_triangles
+            boxes = meshes.boxes.copy()
+            boxes[indices] = new_shapes.meshes.boxes
+            meshes = Meshes(meshes.geom, triangles, boxes)
         solids = replace_primitives(self.solids, new_shapes.solids)
         planes = replace_primitives(self.planes, new_shapes.planes)
         return Shapes(solids, planes, meshes, self.is_endless)
