@@ -1,4 +1,7 @@
-"""What the README and docs/ say is so: code runs, commands parse, links lead somewhere."""
+"""What the README and docs/ say is so: code runs, commands parse, links lead somewhere.
+
+The README's commands run in `test_starts.py`.
+"""
 
 from __future__ import annotations
 
@@ -116,21 +119,6 @@ def test_commands_parse(page):
             command.make_context(words[0], words[1:])
         except UsageError as error:
             pytest.fail(f"{page.name}: navbake {shlex.join(words)}: {error.format_message()}")
-
-
-def test_the_commands_of_the_read_me_run_in_an_empty_folder(tmp_path, monkeypatch, capsys):
-    pytest.importorskip("matplotlib")
-    monkeypatch.chdir(tmp_path)
-    ran = [words for words in commands_of(ROOT / "README.md") if words[0] != "warm-up"]
-    for words in ran:
-        status, out, _ = run_command(capsys, *words)
-        assert status == 0, words
-        # it verifies with the settings of its bake
-        assert "settings are others" not in out
-    names = {words[0] for words in ran}
-    assert names >= {"samples", "init", "geoms", "bake", "info", "rooms", "why", "path", "plot"}
-    assert "verify" in names
-    assert (tmp_path / "apartment.png").stat().st_size > 10_000
 
 
 def test_the_commands_of_the_page_of_formats_run_in_an_empty_folder(tmp_path, monkeypatch, capsys):
