@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -368,6 +369,13 @@ def test_the_list_names_kernels_with_their_types():
             decode_type(each)
 
 
+@cache
+def package_trees() -> dict[Path, ast.Module]:
+    """The syntax tree of each module of the package."""
+    paths = sorted(Path(navbake.__file__).parent.rglob("*.py"))
+    return {path: ast.parse(path.read_text(encoding="utf-8")) for path in paths}
+
+
 def test_the_list_has_all_kernels():
     """Else the first scene that needs one waits for its compilation, as a mesh with a cavity did.
 
@@ -376,9 +384,9 @@ def test_the_list_has_all_kernels():
     folder = Path(navbake.__file__).parent
     names = {entry.name for entries in read_kernel_list() for entry in entries}
     missing = []
-    for path in sorted(folder.rglob("*.py")):
+    for path, tree in package_trees().items():
         module = ".".join(path.relative_to(folder).with_suffix("").parts)
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree):
             decorators = getattr(node, "decorator_list", [])
             called = [getattr(decorator, "func", decorator) for decorator in decorators]
             if any(getattr(function, "id", "") == "kernel" for function in called):
@@ -430,8 +438,8 @@ def test_what_is_compiled_ahead_by_a_prefix_is_in_the_list():
     """A prefix of a module that was moved compiles nothing, and the first query waits."""
     names = [entry.name for group in read_kernel_list() for entry in group]
     prefixes = []
-    for path in sorted(Path(navbake.__file__).parent.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for tree in package_trees().values():
+        for node in ast.walk(tree):
             function = getattr(node, "func", None)
             name = getattr(function, "attr", getattr(function, "id", ""))
             if isinstance(node, ast.Call) and name == "ensure_compiled":
