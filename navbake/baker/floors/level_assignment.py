@@ -802,12 +802,12 @@ def _are_dispensable(
     """Return whether the surfaces without a level can be left out.
 
     In each region they must be small. Stairs are small if they are nowhere wider than
-    `floors.shrink`; floors (if `surface_levels.skips_floors`), if they don't keep
-    `floors.min_area` when shrunk: by `floors.shrink` where they make room for stairs in their
-    columns, by half of it where they don't, since a storey among walls and furniture is narrow,
-    too. And leaving them out must not cut a floor in two: their regions must not get more large
-    walkable areas than they have with all surfaces. In a walkable area, an agent can walk from each
-    surface to each other one.
+    `floors.shrink`. Floors (if `surface_levels.skips_floors`) are small if they don't keep
+    `floors.min_area` when shrunk by `floors.shrink`; and if those in columns without stairs, whose
+    place another floor takes, don't keep it when shrunk by half of it: a storey among walls and
+    furniture is narrow, too. And leaving them out must not cut a floor in two: their regions must
+    not get more large walkable areas than they have with all surfaces. In a walkable area, an agent
+    can walk from each surface to each other one.
 
     Args:
         assignment_input: the surfaces to assign.
@@ -823,7 +823,7 @@ def _are_dispensable(
     settings = assignment_input.settings
     narrow_limits = settings.model_copy(update={"shrink": settings.shrink / 2})
     stair_limits = narrow_limits.model_copy(update={"min_area": lattice.cell_size**2})
-    has_stairs = _find_cells_with_stairs(assignment_input)
+    has_stairs = _mark_cells_with_stairs(assignment_input)
     for region_surfaces in regions_without_level:
         has_no_level = surface_levels.level_of_surface[region_surfaces.surface_id] <= NO_FREE_LEVEL
         is_left_out = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
@@ -831,9 +831,9 @@ def _are_dispensable(
         if not surface_levels.skips_floors:
             is_large = is_large_enough(lattice, stair_limits, is_left_out)
         else:
-            is_large = is_large_enough(
-                lattice, settings, is_left_out & has_stairs
-            ) or is_large_enough(lattice, narrow_limits, is_left_out & ~has_stairs)
+            is_large = is_large_enough(lattice, settings, is_left_out) or is_large_enough(
+                lattice, narrow_limits, is_left_out & ~has_stairs
+            )
         if is_large:
             return False
     group_of_surface = assignment_input.candidates.group_of_surface
@@ -851,7 +851,7 @@ def _are_dispensable(
     )
 
 
-def _find_cells_with_stairs(assignment_input: AssignmentInput) -> Bool:
+def _mark_cells_with_stairs(assignment_input: AssignmentInput) -> Bool:
     """Mark the cells in whose columns are surfaces of stairs to assign, shape (cells,)."""
     surfaces = assignment_input.regions.surfaces
     candidates = assignment_input.candidates

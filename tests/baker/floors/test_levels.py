@@ -205,6 +205,17 @@ def test_storeys_are_levels_although_none_is_wide_over_a_wide_place(bake, storey
     assert grounds(grid) == heights
 
 
+def test_a_floor_under_a_stair_and_its_landing_together_is_a_level(bake):
+    """Under the stair or under the landing alone, what is left of it would be too small."""
+    treads = [(1 + 0.25 * step, 0.15 * (step + 1)) for step in range(17)]
+    stair = [box(x, x + 0.25, 0, 1, z - 0.05, z) for x, z in treads]
+    landing = box(5.25, 6.55, 0, 1, 2.65, 2.7)
+    grid = bake([box(0, 8, 0, 4, -0.2, 0), *stair, landing])
+    assert len(grid.levels) == 2
+    assert (grid.levels[0].attributes["floorHeight"][30:, 50:65] == 0).all()
+    assert not [warning for warning in grid.warnings if "left out" in warning]
+
+
 def test_part_of_a_storey_that_lies_a_little_lower_belongs_to_it(bake):
     """A terrace beside the house, 10 cm lower than the upper storey, and with nothing below it."""
     lower = [box(0, 10, 0, 8, -0.1, 0), *walls(0, 10, 0, 8, 0, 2.7, door=True)]
