@@ -165,22 +165,25 @@ class Baker:
             >>> changes.cells[0]  # of the lowest level
         """
         start_time = time.perf_counter()
-        with without_garbage_collection(), baking(), self._lock, limit_threads(self._threads):
-            change = self._tracked_scene.find_change(data, bodies, joints)
-            # After an error or an interruption below, the next update bakes the whole scene.
-            old_baked_scene = self._baked
-            self._baked = None
+        with baking(), self._lock, limit_threads(self._threads):
             reason = ""
             try:
-                if old_baked_scene is None:
-                    raise FullBakeRequired("the last update failed")
-                baked_scene = update_baked_scene(old_baked_scene, change, self._config)
+                # not while another update or a bake of the whole scene runs, which may take long
+                with without_garbage_collection():
+                    change = self._tracked_scene.find_change(data, bodies, joints)
+                    # After an error or an interruption below, the next update bakes all.
+                    old_baked_scene = self._baked
+                    self._baked = None
+                    if old_baked_scene is None:
+                        raise FullBakeRequired("the last update failed")
+                    baked_scene = update_baked_scene(old_baked_scene, change, self._config)
             except FullBakeRequired as full_bake_required:
                 reason = str(full_bake_required)
                 LOG.debug("the whole scene is baked again: %s", reason)
                 baked_scene = self._bake(self._scene_model._replace(data=change.scene.data))
-            grid = build_grid(self._config, baked_scene.structure, baked_scene.pose)
-            cells, is_new = _find_changed_cells(self._grid, grid, baked_scene)
+            with without_garbage_collection():
+                grid = build_grid(self._config, baked_scene.structure, baked_scene.pose)
+                cells, is_new = _find_changed_cells(self._grid, grid, baked_scene)
             self._tracked_scene.commit(baked_scene.pose.scene, change.snapshot)
             self._grid = grid
             self._baked = baked_scene

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +15,7 @@ import yaml
 
 import navbake
 from differences import first_difference, fresh
+from navbake.baker.live import baker as baker_module
 from navbake.baker.live import update as module
 from project_paths import CONFIGS
 
@@ -125,6 +127,34 @@ def differing_cells(old, new):
         other = new.attributes[name]
         differs |= (layer != other) & ~((layer != layer) & (other != other))
     return differs
+
+
+def test_garbage_is_collected_while_an_update_bakes_the_whole_scene(monkeypatch):
+    """That may take long; an update near what moved waits with it."""
+    baker = open_room()
+    is_enabled = []
+
+    def watch(owner, name):
+        function = getattr(owner, name)
+
+        def spy(*args, **more):
+            is_enabled.append((name, gc.isenabled()))
+            return function(*args, **more)
+
+        monkeypatch.setattr(owner, name, spy)
+
+    for name in ("update_baked_scene", "open_stages", "build_grid"):
+        watch(baker_module, name)
+    assert gc.isenabled()
+    assert baker.update(bodies={"chair": [1.5, 1.2, 0.45]}).reason == ""
+    assert is_enabled == [("update_baked_scene", False), ("build_grid", False)]
+    is_enabled.clear()
+    baker.model.body("fixed").pos[0] -= 0.3
+    assert baker.update().reason
+    assert is_enabled == [
+        ("update_baked_scene", False), ("open_stages", True), ("build_grid", False),
+    ]  # fmt: skip
+    assert gc.isenabled()
 
 
 def test_boxes_of_names_are_measured_where_things_moved(monkeypatch):
