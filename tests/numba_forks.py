@@ -11,7 +11,7 @@ from pathlib import Path
 # A fork goes on with the last lines, and ends as any other Python. It reads the environment anew,
 # also for numba and for the folder of temporary files.
 CODE = """
-import json, os, sys, tempfile
+import json, os, signal, sys, tempfile
 import numba
 numba.njit(lambda: 1)()
 for line in sys.stdin:
@@ -22,6 +22,7 @@ for line in sys.stdin:
     print(os.waitstatus_to_exitcode(os.waitpid(fork, 0)[1]), flush=True)
 else:
     sys.exit()
+signal.alarm(300)  # a fork that hangs is killed
 os.environ.clear()
 os.environ.update(order["environment"])
 os.chdir(order["folder"])
