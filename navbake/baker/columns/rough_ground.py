@@ -430,7 +430,7 @@ def find_ground(tiled_shapes: TiledShapes, points: Float, z: Float, max_rise: fl
     run_in_chunks(find_rises, len(points), min_chunk_size=MIN_LINES_PER_CALL)
     # a hit at a triangle's edge may be superfluous: whether it is, only the whole column tells
     uncertain_lines = np.flatnonzero(is_uncertain)
-    if not len(uncertain_lines):  # as mostly; casting none takes longer than finding that out
+    if not len(uncertain_lines):  # the usual case; also casting no lines takes a while
         return rise
     rows, cols = lattice.rows_cols(points[uncertain_lines])
     cells = rows * lattice.width + cols

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from operator import is_
 from typing import NamedTuple
 
 import numpy as np
@@ -95,7 +94,7 @@ def update_baked_scene(
     scene = change.scene
     if change.full_bake_reason:
         raise FullBakeRequired(change.full_bake_reason)
-    # the box round what stands makes the lattice; where it has none, that round all geoms does
+    # the lattice follows from this box; without it, as where a ground is endless, from all geoms
     is_same_box = scene.bounds is not None and scene.bounds is old_pose.scene.bounds
     if not is_same_box and fit_lattice(scene, config) != structure.lattice:
         raise FullBakeRequired("the grid is another one: the box round the scene has changed")
@@ -147,11 +146,13 @@ def update_baked_scene(
             occupied=occupants.blocked,
             config=config,
         )
-    # doors, areas, islands and clearance may change far from what moved
-    changed_rows = slice(0, structure.lattice.height)
-    changes_anywhere = config.areas or config.attributes
-    if not changes_anywhere and _are_same_doors(grid_doors, old_pose.grid_doors):
-        changed_rows = _rows_of_cells(cells, structure.lattice)
+    # areas, islands, clearance and doors may change far from what moved
+    may_change_anywhere = bool(config.areas or config.attributes) or not _are_same_doors(
+        grid_doors, old_pose.grid_doors
+    )
+    changed_rows = _rows_of_cells(cells, structure.lattice)
+    if may_change_anywhere:
+        changed_rows = slice(0, structure.lattice.height)
     pose = replace(
         old_pose,
         # the digest was computed on another thread meanwhile
@@ -170,7 +171,9 @@ def update_baked_scene(
 
 def _are_same_doors(new_doors: list[GridDoor], old_doors: list[GridDoor]) -> bool:
     """Return whether all doors are the same objects as before."""
-    return len(new_doors) == len(old_doors) and all(map(is_, new_doors, old_doors))
+    return len(new_doors) == len(old_doors) and all(
+        new_door is old_door for new_door, old_door in zip(new_doors, old_doors, strict=True)
+    )
 
 
 def _rows_of_cells(cells: Int, lattice: Lattice) -> slice:
@@ -366,7 +369,7 @@ def _mark_leaves_in_cells(
             continue
         is_marked_cell = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
         is_marked_cell[cells] = True
-        # a leaf's disc covers its squares, so that `blocked` has all cells of `blocked_squares`
+        # `blocked` has all cells of `blocked_squares`: the footprint includes the cell's square
         leaf_numbers = list[int]()
         cell_chunks = list[Int]()
         for leaf_number, leaf in enumerate(leaves):

@@ -314,7 +314,7 @@ def _replace_cell_entries(
 
 
 def _slices_between(values: Int, borders: Int) -> list[slice]:
-    """Divide ascending values at borders: return a slice for each pair of borders that follow."""
+    """Divide ascending values at borders: return the slice from each border to the next one."""
     return [slice(*ends) for ends in pairwise(np.searchsorted(values, borders).tolist())]
 
 

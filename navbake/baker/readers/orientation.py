@@ -518,9 +518,9 @@ def _find_planes(axis: Float, sample: TriangleSample) -> list[_Plane]:
             members = np.flatnonzero(is_member)
             member_areas = areas[members]
             total_area = member_areas.sum()
-            center_offsets = centers.take(members, axis=0)
-            center = member_areas @ center_offsets / total_area
-            center_offsets -= center
+            member_centers = centers.take(members, axis=0)
+            center = member_areas @ member_centers / total_area
+            center_offsets = member_centers - center
             # The centres' principal axes, by ascending variance: the first is the plane's normal.
             variances, principal_axes = np.linalg.eigh(
                 (center_offsets * member_areas[:, None]).T @ center_offsets

@@ -520,10 +520,12 @@ def find_openings(
         is_step_on_level = (steps[:, [0, 2]] == level_number).all(axis=1)
         neighbor_pairs = list_differing_pairs(room_of_cell)
         are_in_rooms = (room_of_cell.ravel()[neighbor_pairs] > 0).all(axis=0)
-        neighbor_pairs = neighbor_pairs[:, are_in_rooms].T
-        height_difference = np.subtract(*floor.ravel()[neighbor_pairs.T])
+        neighbor_pairs = neighbor_pairs[:, are_in_rooms]
+        height_difference = np.subtract(*floor.ravel()[neighbor_pairs])
         is_step = np.abs(height_difference) <= max_step + LIMIT_SLACK
-        cell_pairs = np.concatenate([steps[is_step_on_level][:, [1, 3]], neighbor_pairs[is_step]])
+        cell_pairs = np.concatenate(
+            [steps[is_step_on_level][:, [1, 3]], neighbor_pairs[:, is_step].T]
+        )
         rooms_of_cells = np.sort(room_of_cell.ravel()[cell_pairs].astype(np.int64), axis=1)
         is_between_rooms = (rooms_of_cells[:, 0] > 0) & (
             rooms_of_cells[:, 0] != rooms_of_cells[:, 1]

@@ -26,7 +26,7 @@ from navbake.threads import run_beside, run_in_chunks
 from navbake.types import Bool, Float, Int, Int32, ScalarT
 
 MIN_CHUNK_COLUMNS = 64  # the fewest columns that one thread sweeps
-NODES_PER_PIECE = 1 << 12  # nodes whose distances are measured together; more would need memory
+NODES_PER_PIECE = 1 << 12  # nodes whose distances are measured together, to save memory
 ROWS_PER_COPY = 64  # rows that are copied together to Fortran order
 NO_ROWS = np.empty((0, 0), dtype=np.int32)  # `squared` in the first call of `sweep_distances`
 
@@ -466,7 +466,7 @@ def _refine_angle(position: Float, bin_number: int, bin_width: float, strip_widt
     angles = bin_width * (bin_number + REFINEMENT_STEP * refinement_steps)
     strip_of_point = _find_strips(position, angles, strip_width)
     # the second with other bounds of strips, so that no wall falls between two strips
-    wait_for_second = run_beside(_measure_sharpness, np.add(strip_of_point, 0.5).astype(np.int32))
+    wait_for_second = run_beside(_measure_sharpness, (strip_of_point + 0.5).astype(np.int32))
     sharpness = np.maximum(_measure_sharpness(strip_of_point.astype(np.int32)), wait_for_second())
     is_axis = angles % 90.0 == 0.0
     if (sharpness[is_axis] >= MIN_AXIS_SHARPNESS_SHARE * sharpness.max()).any():
