@@ -660,9 +660,9 @@ def _list_boxes(
     np.cumsum(next_list_index.sum(axis=0), out=tile_start[1:])
     # each chunk's boxes over a tile follow those of the chunks before it
     index_of_chunk = tile_start[:-1]
-    for num_boxes_over_tile in next_list_index:
-        index_of_next_chunk = index_of_chunk + num_boxes_over_tile
-        num_boxes_over_tile[:] = index_of_chunk
+    for chunk in range(num_chunks):
+        index_of_next_chunk = index_of_chunk + next_list_index[chunk]
+        next_list_index[chunk] = index_of_chunk
         index_of_chunk = index_of_next_chunk
     box_indices_by_tile = np.empty(tile_start[-1], dtype=np.int32)
 

@@ -40,7 +40,9 @@ class GroundLines(NamedTuple):
         edge_rise: the same of crossings at edges of triangles. If it is greater than `rise`, the
             ground is uncertain.
         original_index: the index of each line before the lines were sorted, (n,) int64.
-        place: room for a number for each line, (n,) int64.
+        place: the place of each line, before they were sorted, in the order of tiles and cells:
+            CELLS_PER_TILE for each tile after the first one, and the cell in its tile; -1 outside
+            of the lattice, (n,) int64.
         first_tile: a tile; no line runs through a tile before it.
         start: the index of the first line of each cell of this tile and the following ones, then
             the number of lines, int64. Each tile has CELLS_PER_TILE cells, also at the lattice's
@@ -69,7 +71,7 @@ def _sort_by_cell(lattice, points, z, lines):
             are left out.
     """
     tiles_per_row = (lattice.width + TILE - 1) // TILE
-    place = lines.place  # of a line: its tile and its cell as one number
+    place = lines.place
     start = lines.start
     for line in range(points.shape[0]):
         row = math.floor((lattice.y_max - points[line, 1]) / lattice.cell_size)
