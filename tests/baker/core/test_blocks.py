@@ -16,6 +16,7 @@ from navbake.baker.core.blocks import Blocks, RowsBuilder
 from navbake.baker.core.clock import StageClock
 from navbake.baker.core.tiles import BLOCK
 from navbake.baker.geometry import shapes as shapes_module
+from navbake.baker.occupants import standing
 from navbake.config.settings import load_config, parse_config
 from navbake.formats.navgrid import dumps_navgrid
 from navbake.navgrid.lattice import Lattice
@@ -125,6 +126,16 @@ def sample_in_one_block(name) -> bytes:
 def test_samples_in_blocks(monkeypatch, name, cells):
     expected = sample_in_one_block(name)
     in_blocks(monkeypatch, cells)
+    assert bake_bytes(load_config(CONFIGS / f"{name}.yaml")) == expected
+
+
+@pytest.mark.parametrize("cells", [3000, 1 << 20])
+@pytest.mark.parametrize("name", SAMPLES)
+def test_samples_whose_occupants_are_listed_in_pieces(monkeypatch, name, cells):
+    """Of a row of tiles each, also in several blocks with several pieces."""
+    expected = sample_in_one_block(name)
+    in_blocks(monkeypatch, cells)
+    monkeypatch.setattr(standing, "CELLS_PER_CALL", 1)
     assert bake_bytes(load_config(CONFIGS / f"{name}.yaml")) == expected
 
 
