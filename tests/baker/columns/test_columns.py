@@ -17,6 +17,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from navbake.baker.columns import rough_ground
 from navbake.baker.columns.columns import Columns, cast_columns, cast_points, tile_shapes
 from navbake.baker.columns.rough_ground import find_ground
 from navbake.baker.scene.scene import Scene, load_scene
@@ -265,10 +266,12 @@ def test_lines_together_cross_what_each_crosses_by_itself(tmp_path: Path, seed: 
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_ground_is_the_highest_hit_near_a_height_that_faces_up(tmp_path: Path, seed: int) -> None:
+def test_ground_is_the_highest_hit_near_a_height_that_faces_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
     """At points anywhere, and at cells' centres, through which edges of the height field run.
 
-    None outside of the lattice, also where shapes are.
+    None outside of the lattice, also where shapes are. Many points are divided among threads.
     """
     rng = np.random.default_rng(seed)
     scene = load(tmp_path, aligned_xml(rng))
@@ -293,6 +296,8 @@ def test_ground_is_the_highest_hit_near_a_height_that_faces_up(tmp_path: Path, s
     assert 100 < np.isnan(expected).sum() < 1900
     with limit_threads(1):
         np.testing.assert_array_equal(find_ground(tiled, points, z, 0.3), expected)
+    monkeypatch.setattr(rough_ground, "MIN_LINES_PER_CALL", 10)
+    np.testing.assert_array_equal(find_ground(tiled, points, z, 0.3), expected)
 
 
 @pytest.mark.parametrize("seed", range(3))
