@@ -270,7 +270,7 @@ def _warn_movable(baked_structure: BakedStructure, baked_pose: BakedPose) -> Ite
     other_bodies = movable_bodies[~is_robot_body]
 
     def describe_largest_blockers(movable_bodies: Int) -> str:
-        # those that block as many cells as the last one that is named; sorting all takes longer
+        # only those that block at least as many cells as the last named one: sorting all is slow
         num_cells = num_blocked_cells[movable_bodies]
         num_named = min(MAX_NAMED_BODIES, len(movable_bodies))
         large_bodies = movable_bodies[num_cells >= np.partition(num_cells, -num_named)[-num_named]]

@@ -148,6 +148,15 @@ def test_few_of_many_movable_bodies_are_named_the_largest_first(scene):
     assert ", and 2 more;" in warning and "ball1" not in warning
 
 
+def test_of_bodies_that_take_as_much_the_first_are_named(scene):
+    ball = '<body name="ball{n}" pos="{x} 0 .5"><freejoint/><geom size="{radius}"/></body>'
+    radii = (0.2, 0.3, 0.2, 0.2, 0.2)
+    balls = (ball.format(n=n, x=0.8 * (n - 2), radius=radius) for n, radius in enumerate(radii))
+    [warning] = movable(run_bake(parse_config(scene("".join(balls)))))
+    assert warning.index("'ball1'") < warning.index("'ball0'") < warning.index("'ball2'")
+    assert ", and 2 more;" in warning and "ball3" not in warning and "ball4" not in warning
+
+
 def test_a_level_without_room_to_stand_is_told(scene):
     pillars = "".join(
         box(f"pillar{x}{y}", x, y, 0, x + 0.1, y + 0.1, 2.5)
