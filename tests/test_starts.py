@@ -33,7 +33,7 @@ from test_starts import bake_and_voxelize
 if __name__ == "__main__":
     scene, method = sys.argv[1:]
     expected = bake_and_voxelize(scene)
-    with multiprocessing.get_context(method).Pool(2) as pool:
+    with multiprocessing.get_context(method).Pool(4) as pool:
         assert pool.map_async(bake_and_voxelize, [scene] * 8).get(240) == [expected] * 8
 """
 
