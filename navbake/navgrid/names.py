@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from navbake.navgrid.user_data import names_in
+from navbake.navgrid.user_data import UserData, names_in
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -19,6 +19,6 @@ def list_object_names(grid: NavGrid) -> list[str]:
     """List the names of the objects in the cells of a grid, sorted."""
     names: set[str] = set()
     for level in grid.levels:
-        for entry in level.user_data.values():
+        for entry in UserData.of(level.user_data).shared_entries().entries:
             names.update(names_in(entry, "objects"))
     return sorted(names)
