@@ -270,13 +270,8 @@ def _warn_movable(baked_structure: BakedStructure, baked_pose: BakedPose) -> Ite
     other_bodies = movable_bodies[~is_robot_body]
 
     def describe_largest_blockers(movable_bodies: Int) -> str:
-        # only those that block at least as many cells as the last named one: sorting all is slow
-        num_cells = num_blocked_cells[movable_bodies]
-        num_named = min(MAX_NAMED_BODIES, len(movable_bodies))
-        large_bodies = movable_bodies[num_cells >= np.partition(num_cells, -num_named)[-num_named]]
-        largest_bodies = large_bodies[np.argsort(-num_blocked_cells[large_bodies], kind="stable")][
-            :num_named
-        ]
+        largest_first = np.argsort(-num_blocked_cells[movable_bodies], kind="stable")
+        largest_bodies = movable_bodies[largest_first[:MAX_NAMED_BODIES]]
         body_texts = [
             f"{body_name(scene.model, body)!r} ({num_blocked_cells[body] * cell_area:.2f} m²)"
             for body in largest_bodies.tolist()

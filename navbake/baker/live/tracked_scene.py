@@ -428,14 +428,12 @@ class TrackedScene:
 
     def _check_finite(self, data: mujoco.MjData) -> None:
         """Raise a QueryError if the pose of a body is not finite; the error names the body."""
-        if all(
-            np.isfinite(values).all() for values in (data.qpos, data.mocap_pos, data.mocap_quat)
-        ):
-            return
         model = self._model
         wrong_qpos_indices = np.flatnonzero(~np.isfinite(data.qpos))
         is_mocap_finite = np.isfinite(data.mocap_pos).all(axis=1)
         is_mocap_finite &= np.isfinite(data.mocap_quat).all(axis=1)
+        if not len(wrong_qpos_indices) and is_mocap_finite.all():
+            return
         wrong_joints = np.searchsorted(model.jnt_qposadr, wrong_qpos_indices, side="right") - 1
         wrong_mocaps = np.flatnonzero(~is_mocap_finite)
         mocap_bodies = np.flatnonzero(np.isin(model.body_mocapid, wrong_mocaps))
