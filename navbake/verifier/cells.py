@@ -251,15 +251,15 @@ class FloorCheck:
             row = int(sample.rows[cell]) + lattice_shift.rows
             col = int(sample.cols[cell]) + lattice_shift.cols
             # the line of the lattice's cell, unless its centre is rounded otherwise
-            is_same_line = self._center(row, col) == (x, y)
-            vertical_line = self._line_at(row, col) if is_same_line else self._probe.cast_line(x, y)
-            tolerance = compute_floor_tolerance(x, y, z)
-            if is_same_line:
+            if self._center(row, col) == (x, y):
+                vertical_line = self._line_at(row, col)
                 standable_hits = self._all_standable_at(row, col)
             else:
+                vertical_line = self._probe.cast_line(x, y)
                 standable_hits = vertical_line.find_standable_hits(
                     self._agent.height, self._agent.min_normal_z
                 )
+            tolerance = compute_floor_tolerance(x, y, z)
             if not has_no_floor:
                 counts.floors += 1
             is_unchecked = has_no_floor or bool(is_unseen[sample.rows[cell], sample.cols[cell]])

@@ -286,7 +286,7 @@ def find_nearest_axes(normal, axes, max_distance, nearest_axis, first_normal, en
 
 
 @subkernel(inline="always")
-def _remainder(angle):
+def _modulo_quarter_turn(angle):
     """Return an angle modulo a quarter turn, as `%` does, which takes several times as long [rad].
 
     Args:
@@ -339,12 +339,14 @@ def find_facing_directions(
         double_side_area[triangle] = math.sqrt(x * x + y * y)
         area_times_angle[triangle] = 0.0
         if double_side_area[triangle] > 0.0:
-            angle = _remainder(math.atan2(y, x))
+            angle = _modulo_quarter_turn(math.atan2(y, x))
             nearest_direction = np.int64(math.floor(angle / angle_step + 0.5))
             if nearest_direction == num_directions:
                 nearest_direction = np.int64(0)
             # wrapped, as the nearest direction may lie across the end of the quarter turn
-            angle_offset = _remainder(angle - nearest_direction * angle_step + QUARTER_TURN / 2)
+            angle_offset = _modulo_quarter_turn(
+                angle - nearest_direction * angle_step + QUARTER_TURN / 2
+            )
             angle_offset -= QUARTER_TURN / 2
             area_times_angle[triangle] = double_side_area[triangle] * angle_offset
             direction_of_triangle[triangle] = nearest_direction

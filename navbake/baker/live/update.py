@@ -317,7 +317,7 @@ def _update_grid_doors(
     if not door_leaves:
         return []
     old_pose = baked_scene.pose
-    changed_cells = _find_changed_cells(occupants, old_pose.occupants, cells)
+    changed_cells = _select_changed_cells(occupants, old_pose.occupants, cells)
     is_changed_leaf = _mark_leaves_in_cells(
         door_leaves, changed_cells, baked_scene.structure.lattice
     )
@@ -331,7 +331,7 @@ def _update_grid_doors(
     return grid_doors
 
 
-def _find_changed_cells(
+def _select_changed_cells(
     new_occupants: MovableOccupants, old_occupants: MovableOccupants, cells: Int
 ) -> list[Int]:
     """Return for each level those of some cells whose occupancy differs between two poses."""
