@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
@@ -40,8 +41,9 @@ from navbake.types import Bool, Float, Int, Int32, Json
 if TYPE_CHECKING:
     from navbake.runtime.inflation_kernels import LevelStack
 
-ndimage = lazy("scipy.ndimage")
-threads = lazy("navbake.threads")  # numba loads slowly
+compiled = lazy("navbake.compiled")  # numba loads slowly
+kernels = lazy("navbake.runtime.inflation_kernels")
+threads = lazy("navbake.threads")
 
 AnyGrid = TypeVar("AnyGrid", SceneGrid2D, MultiLevelGrid)
 
@@ -169,19 +171,23 @@ def inflate(
                 _refine_weights(level, radius / cell_size, (radius + clearance) / cell_size)
             )
             continue
+        if costs == "nav2":
+            # the costs do not depend on the blocked cells: another thread finds them meanwhile
+            find_costs = partial(nav2_costs, level=level_number)
+            wait_for_costs = threads.run_beside(
+                find_costs, grid, radius, radius + clearance, scaling
+            )
         if is_inflated_enough:
             is_blocked = ~level.free
         else:
             is_blocked = find_blocked(grid, level_number, radius, ledges)
         least_weights = None
         if costs == "nav2":
-            level_costs = nav2_costs(grid, radius, radius + clearance, scaling, level=level_number)
-            least_weights = np.clip(level_costs, 1, MAX_FREE_COST)
-        weights = _combine_weights(level, is_blocked, least_weights)
-        if costs == "step" and clearance > 0:
+            least_weights = np.clip(wait_for_costs(), 1, MAX_FREE_COST)
+        elif clearance > 0:
             is_in_clearance = find_blocked(grid, level_number, radius + clearance, ledges)
-            np.maximum(weights, STEP_COST, out=weights, where=is_in_clearance)
-        weights_by_level.append(weights)
+            least_weights = np.where(is_in_clearance, np.uint8(STEP_COST), np.uint8(0))
+        weights_by_level.append(_combine_weights(level, is_blocked, least_weights))
 
     inflation_entry: Json = {"radius": float(radius), "clearance": float(clearance), "mode": mode}
     if mode == "exact":
@@ -226,29 +232,30 @@ def _combine_weights(
     Args:
         level: the level before.
         is_blocked: whether each cell is blocked now, shape (height, width).
-        least_weights: the least weight of each free cell, shape (height, width); None for none.
+        least_weights: the least weight of each free cell, 0 for none, shape (height, width); None
+            if no cell has one.
 
     Returns:
         Weights, inf in blocked cells, shape (height, width).
     """
-    is_opened = None
+    compiled.ensure_compiled("runtime.inflation_kernels.")
+    # kernels take writeable arrays
+    old_weights = np.require(level.weights, np.float64, ["C", "W"])
+    is_opened = np.zeros(level.shape, dtype=np.bool_)
     if "solid" in level.attributes:
-        is_opened = level.free_for_point & ~level.free
-    old_weights = level.weights  # derived on first access, if a file lacks them
+        is_opened = np.ascontiguousarray(level.free_for_point)
+    if least_weights is None:
+        least_weights = np.zeros(level.shape, dtype=np.uint8)
     weights = np.empty(level.shape)
-
-    def combine_rows(first_row: int, end_row: int) -> None:
-        rows = slice(first_row, end_row)
-        row_weights = weights[rows]
-        row_weights[:] = old_weights[rows]
-        if is_opened is not None:
-            row_weights[is_opened[rows]] = 1.0
-        if least_weights is not None:
-            np.maximum(row_weights, least_weights[rows], out=row_weights)
-        row_weights[is_blocked[rows]] = np.inf
-
     threads.run_in_chunks(
-        combine_rows, level.height, min_chunk_size=max(1, threads.LEAST_CELLS // level.width)
+        kernels.combine_weights,
+        level.height,
+        old_weights,
+        is_opened,
+        np.ascontiguousarray(least_weights),
+        np.ascontiguousarray(is_blocked),
+        weights,
+        min_chunk_size=max(1, threads.LEAST_CELLS // level.width),
     )
     return weights
 

@@ -51,6 +51,68 @@ class LevelStack(NamedTuple):
     height: float
 
 
+@kernel(nogil=True)
+def find_patch_extremes(floor, patch_min_z, patch_max_z, begin, end):
+    """Find the lowest and the highest floor in each patch of `PATCH_SIZE` x `PATCH_SIZE` cells.
+
+    Args:
+        floor: `LevelStack.floor`, shape (levels, rows, cols) [m].
+        patch_min_z: receives z of the lowest floor, inf for none, float32, shape (levels, patch
+            rows, patch columns) [m]. The last patches may have fewer rows and columns of cells.
+        patch_max_z: receives z of the highest floor, -inf for none, of the same shape [m].
+        begin: first row of patches.
+        end: the row after the last.
+    """
+    num_levels, num_rows, num_cols = floor.shape
+    num_patch_cols = patch_min_z.shape[2]
+    # of the cells of each column in a row of patches
+    column_min_z = np.empty(num_patch_cols * PATCH_SIZE, dtype=np.float32)
+    column_max_z = np.empty(num_patch_cols * PATCH_SIZE, dtype=np.float32)
+    for level in range(num_levels):
+        for patch_row in range(begin, end):
+            column_min_z[:] = np.inf
+            column_max_z[:] = -np.inf
+            first_row = patch_row * PATCH_SIZE
+            for row in range(first_row, min(first_row + PATCH_SIZE, num_rows)):
+                for col in range(num_cols):
+                    z = floor[level, row, col]  # NaN is neither lower nor higher
+                    column_min_z[col] = z if z < column_min_z[col] else column_min_z[col]
+                    column_max_z[col] = z if z > column_max_z[col] else column_max_z[col]
+            for patch_col in range(num_patch_cols):
+                lowest_z = column_min_z[patch_col * PATCH_SIZE]
+                highest_z = column_max_z[patch_col * PATCH_SIZE]
+                for i in range(1, PATCH_SIZE):
+                    lowest_z = min(lowest_z, column_min_z[patch_col * PATCH_SIZE + i])
+                    highest_z = max(highest_z, column_max_z[patch_col * PATCH_SIZE + i])
+                patch_min_z[level, patch_row, patch_col] = lowest_z
+                patch_max_z[level, patch_row, patch_col] = highest_z
+
+
+@kernel(nogil=True)
+def combine_weights(old_weights, is_opened, least_weights, is_blocked, weights, begin, end):
+    """Compute the weights of some rows of an inflated level.
+
+    Args:
+        old_weights: the weights before, float64, shape (rows, cols).
+        is_opened: where cells of infinite weight weigh 1 now, unless they are blocked, bool, shape
+            (rows, cols).
+        least_weights: the least weight of each cell, 0 for none, uint8, shape (rows, cols).
+        is_blocked: whether each cell is blocked now, bool, shape (rows, cols).
+        weights: receives the weights, inf in blocked cells, float64, shape (rows, cols).
+        begin: first row.
+        end: the row after the last.
+    """
+    for row in range(begin, end):
+        for col in range(old_weights.shape[1]):
+            weight = old_weights[row, col]
+            if is_opened[row, col] and not np.isfinite(weight):
+                weight = 1.0
+            least_weight = np.float64(least_weights[row, col])
+            if least_weight > 0 and weight < least_weight:
+                weight = least_weight
+            weights[row, col] = np.inf if is_blocked[row, col] else weight
+
+
 @kernel
 def measure_along_columns(is_occupied, max_distance):
     """Measure how many rows each cell is away from the nearest occupied cell of its column.
@@ -67,16 +129,17 @@ def measure_along_columns(is_occupied, max_distance):
         int32, shape (rows, cols).
     """
     num_rows, num_cols = is_occupied.shape
+    farthest = np.int32(max_distance)
     row_distances = np.empty((num_rows, num_cols), dtype=np.int32)
     for row in range(num_rows):
         for col in range(num_cols):
-            distance_above = row_distances[row - 1, col] if row > 0 else max_distance
-            row_distances[row, col] = (
-                0 if is_occupied[row, col] else min(distance_above + 1, max_distance)
-            )
+            distance_above = row_distances[row - 1, col] if row > 0 else farthest
+            distance = min(np.int32(distance_above + 1), farthest)
+            row_distances[row, col] = 0 if is_occupied[row, col] else distance
     for row in range(num_rows - 2, -1, -1):
         for col in range(num_cols):
-            row_distances[row, col] = min(row_distances[row, col], row_distances[row + 1, col] + 1)
+            distance_from_below = np.int32(row_distances[row + 1, col] + 1)
+            row_distances[row, col] = min(row_distances[row, col], distance_from_below)
     return row_distances
 
 
@@ -96,22 +159,22 @@ def dilate_along_rows(row_distances, half_width, is_covered, begin, end):
         end: the row after the last.
     """
     num_cols = row_distances.shape[1]
-    interval_half_widths = np.empty(num_cols, dtype=np.int32)
+    interval_begins = np.empty(num_cols, dtype=np.int32)
+    farthest_ends = np.empty(num_cols, dtype=np.int32)
     for row in range(begin, end):
-        for col in range(num_cols):
-            interval_half_widths[col] = half_width[row_distances[row, col]]
         # The union of all intervals [col - covered, col + covered], swept once from each side: the
-        # farthest end so far decides, whichever interval it is of.
-        interval_end = -1
+        # farthest end so far decides, whichever interval it is of. An interval of -1 ends before
+        # its own column and begins after it, so that it covers nothing.
+        farthest_end = np.int32(-1)
         for col in range(num_cols):
-            if interval_half_widths[col] >= 0 and col + interval_half_widths[col] > interval_end:
-                interval_end = col + interval_half_widths[col]
-            is_covered[row, col] = col <= interval_end
-        interval_end = num_cols
+            interval_half_width = half_width[row_distances[row, col]]
+            interval_begins[col] = col - interval_half_width
+            farthest_end = max(farthest_end, np.int32(col + interval_half_width))
+            farthest_ends[col] = farthest_end
+        first_begin = np.int32(num_cols)
         for col in range(num_cols - 1, -1, -1):
-            if interval_half_widths[col] >= 0 and col - interval_half_widths[col] < interval_end:
-                interval_end = col - interval_half_widths[col]
-            is_covered[row, col] |= col >= interval_end
+            first_begin = min(first_begin, interval_begins[col])
+            is_covered[row, col] = (col <= farthest_ends[col]) | (col >= first_begin)
 
 
 @kernel(nogil=True)
@@ -132,9 +195,11 @@ def look_up_along_rows(row_distances, cost_of_square, costs, begin, end):
     with a reach of hundreds of cells, steps are slower than envelopes, by tens of times.
 
     Args:
-        row_distances: the distances along columns, from `measure_along_columns`.
-        cost_of_square: the cost by squared distance in cells, uint8, shape (n,); larger distances
-            cost 0. So do cells without any occupied cell within that distance.
+        row_distances: the distances along columns, from `measure_along_columns`, at most the root
+            of n, rounded up.
+        cost_of_square: the cost by squared distance in cells, uint8, shape (n,), n at most
+            `navbake.runtime.inflation.MAX_SQUARED_DISTANCE`; larger distances cost 0. So do cells
+            without any occupied cell within that distance.
         costs: receives the costs, uint8, shape (rows, cols).
         begin: first row.
         end: the row after the last.
@@ -149,7 +214,7 @@ def look_up_along_rows(row_distances, cost_of_square, costs, begin, end):
             end_square[0] = num_squares
             end_square[num_cols + 1] = num_squares
         for col in range(num_cols):
-            square = np.int64(row_distances[row, col]) * row_distances[row, col]
+            square = np.int32(row_distances[row, col] * row_distances[row, col])
             squares[col + 1] = min(square, num_squares)
         step_cost = np.int32(1)
         num_lowered = 1

@@ -32,7 +32,6 @@ The agent is a disc whose centre is on a cell's centre. The rules:
 from __future__ import annotations
 
 import math
-from functools import reduce
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -126,9 +125,10 @@ def find_blocked(
     if radius_in_cells > 0:
         block_by_floors(grid, level_number, stack, radius, disc_offsets.offsets, ledges, is_blocked)
         # holes that are not occupied and leave too little floor in a disc
-        has_floor = ~np.isnan(stack.floor[stack.level])
-        is_hole = ~has_floor & (occupied == 0)
+        is_hole = np.isnan(stack.floor[stack.level])
+        is_hole &= occupied == 0
         if is_hole.any():
+            has_floor = ~np.isnan(stack.floor[stack.level])
             disc_offsets = find_disc_offsets(radius_in_cells, is_hole.shape, to_squares=False)
             is_near_hole = _dilate(is_hole.view(np.uint8), disc_offsets.half_widths)
             is_near_hole = is_near_hole & has_floor & ~is_blocked
@@ -189,11 +189,10 @@ def block_by_floors(
     # `occupied` includes higher floors up to the baked radius, but a layer `solid` doesn't
     has_solid = bool(level.navbake) and "solid" in level.attributes
     higher_floors_block = radius > (0.0 if has_solid else grid.agent_radius)
-    lowest_floor_z = np.fmin.reduce(stack.floor, axis=None)
-    highest_floor_z = np.fmax.reduce(stack.floor, axis=None)
-    if len(stack.floor) == 1 and not highest_floor_z - lowest_floor_z > stack.max_step:
+    patch_min_z, patch_max_z = _find_patch_extremes(stack)
+    if len(stack.floor) == 1 and not patch_max_z.max() - patch_min_z.min() > stack.max_step:
         return  # no floor is higher or lower than another by more than a step
-    patch_min_z, patch_max_z = _find_floor_extremes(stack, cell_offsets)
+    patch_min_z, patch_max_z = _find_extremes_near(patch_min_z, patch_max_z, cell_offsets)
     lower_floors_block = ledges == "avoid"
     kernels.block_by_floors(
         stack,
@@ -240,7 +239,10 @@ def look_up_by_distance(
     )
     if len(stack.floor) > 1:
         disc_offsets = find_disc_offsets(max_distance + 1.0, occupied.shape, to_squares=False)
-        patch_min_z, patch_max_z = _find_floor_extremes(stack, disc_offsets.offsets)
+        patch_min_z, patch_max_z = _find_patch_extremes(stack)
+        patch_min_z, patch_max_z = _find_extremes_near(
+            patch_min_z, patch_max_z, disc_offsets.offsets
+        )
         kernels.look_up_near_levels(
             stack,
             patch_min_z,
@@ -272,53 +274,51 @@ def _dilate(is_occupied: NDArray[np.uint8], half_widths: Int32) -> Bool:
     return is_covered
 
 
-def _find_floor_extremes(
-    stack: LevelStack, cell_offsets: Int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Find the lowest and highest floors in the patches that offsets lead to from each patch.
+def _find_patch_extremes(stack: LevelStack) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Find the lowest and the highest floor of each patch of cells.
 
     Args:
         stack: the cells of a level and those around it.
-        cell_offsets: rows and columns, shape (n, 2).
 
     Returns:
-        The lowest and the highest floors, each as from `_find_extremes_near`.
+        z of the lowest floors, inf for none, and of the highest ones, -inf for none [m], each of
+        shape (levels, patch rows, patch columns); see `kernels.find_patch_extremes`.
     """
-    patch_size = kernels.PATCH_SIZE
-    window_size = 2 * -(-int(np.abs(cell_offsets).max()) // patch_size) + 1
-    padding = [(0, 0), *((0, -size % patch_size) for size in stack.floor.shape[1:])]
-    floor = np.pad(stack.floor, padding, constant_values=np.nan)
-    patch_min_z = _find_extremes_near(np.fmin, floor, patch_size, window_size)
-    patch_max_z = _find_extremes_near(np.fmax, floor, patch_size, window_size)
+    num_levels, num_rows, num_cols = stack.floor.shape
+    num_patch_rows = -(-num_rows // kernels.PATCH_SIZE)
+    num_patch_cols = -(-num_cols // kernels.PATCH_SIZE)
+    patch_min_z = np.empty((num_levels, num_patch_rows, num_patch_cols), dtype=np.float32)
+    patch_max_z = np.empty_like(patch_min_z)
+    cells_in_patch_row = num_levels * num_cols * kernels.PATCH_SIZE
+    threads.run_in_chunks(
+        kernels.find_patch_extremes,
+        num_patch_rows,
+        stack.floor,
+        patch_min_z,
+        patch_max_z,
+        min_chunk_size=max(1, threads.LEAST_CELLS // cells_in_patch_row),
+    )
     return patch_min_z, patch_max_z
 
 
 def _find_extremes_near(
-    fmin_or_fmax: np.ufunc, floor: NDArray[np.float32], patch_size: int, window_size: int
-) -> NDArray[np.float32]:
-    """Compute the lowest or the highest floor in a window of patches round each patch.
+    patch_min_z: NDArray[np.float32], patch_max_z: NDArray[np.float32], cell_offsets: Int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Find the lowest and highest floors in the patches that offsets lead to from each patch.
 
     Args:
-        fmin_or_fmax: `numpy.fmin` for the lowest floor, `numpy.fmax` for the highest.
-        floor: z [m], shape (levels, rows, cols).
-        patch_size: edge of a patch, in cells.
-        window_size: edge of the window, in patches.
+        patch_min_z: z of the lowest floor of each patch, from `_find_patch_extremes` [m].
+        patch_max_z: z of its highest floor [m].
+        cell_offsets: rows and columns from a cell to others, shape (n, 2).
 
     Returns:
-        z [m], shape (levels, patch rows, patch columns); inf for no lowest, -inf for no highest
-        floor.
+        z of the lowest and of the highest floors [m], each of the shape of `patch_min_z`.
     """
-    is_lowest = fmin_or_fmax is np.fmin
-    no_floor = np.float32(np.inf if is_lowest else -np.inf)
-    # slice by slice, in a tenth of the time of `reduceat`
-    patches = reduce(fmin_or_fmax, [floor[:, k::patch_size] for k in range(patch_size)])
-    patches = reduce(fmin_or_fmax, [patches[:, :, k::patch_size] for k in range(patch_size)])
-    patches = np.where(np.isnan(patches), no_floor, patches)
-    filter_patches = ndimage.minimum_filter if is_lowest else ndimage.maximum_filter
-    extremes: NDArray[np.float32] = filter_patches(
-        patches, size=(1, window_size, window_size), mode="constant", cval=no_floor
-    )
-    return extremes
+    window_size = 2 * -(-int(np.abs(cell_offsets).max()) // kernels.PATCH_SIZE) + 1
+    window = (1, window_size, window_size)
+    min_z = ndimage.minimum_filter(patch_min_z, window, mode="constant", cval=np.inf)
+    max_z = ndimage.maximum_filter(patch_max_z, window, mode="constant", cval=-np.inf)
+    return min_z, max_z
 
 
 def find_disc_offsets(

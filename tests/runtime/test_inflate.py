@@ -483,7 +483,7 @@ def test_the_window_is_lopsided():
 def test_step_costs_lie_within_the_clearance(seed):
     rng = np.random.default_rng(seed)
     level = make_level(rng.random(rng.integers(3, 25, 2)) < 0.03)
-    level.weights[level.free] = rng.choice([1.0, 20.0], level.free.sum())
+    level.weights[level.free] = rng.choice([-0.5, 0.5, 1.0, 20.0], level.free.sum())
     radius, clearance = rng.uniform(0, 0.4, 2)
     inflated = level.inflate(radius, clearance)
     free = inflation.exact_free(level, radius)
