@@ -21,8 +21,10 @@ ruff format --check
 # mypy takes one core for long where it has no cache yet, so it runs beside the next step
 mypy &
 types=$!
+trap 'kill "$types" 2>/dev/null || true' EXIT # where the next step fails, mypy doesn't go on alone
 navbake warm-up # compiled once, before several processes need it
 wait "$types"
+trap - EXIT
 # the processes share the cores; numpy's matrix products would start threads in each of them
 export OPENBLAS_NUM_THREADS=1
 # what JAX compiles is kept for the next run: for most of its tests, compiling takes the longest
