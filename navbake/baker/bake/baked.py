@@ -58,8 +58,8 @@ class BakedStructure:
         lattice: the cells that are baked.
         floors: the levels with their floors.
         layers: for each level, the layers that follow from structure alone.
-        occupants: the structure in each cell; None if the settings ask for no names in cells, and
-            rooms don't need it.
+        named_occupants: the structure in each cell, and the names of all geoms, by which a grid
+            lists what is in its cells; None if the settings ask for no names in cells.
         rooms: the room of each cell.
         boxes: the rectangle of cells, and the bounding box, of each level.
         link_geometry: the structure that an agent on a link may collide with; None without links.
@@ -71,7 +71,7 @@ class BakedStructure:
     lattice: Lattice
     floors: Floors
     layers: list[StructureLayers]
-    occupants: StandingOccupants | None
+    named_occupants: StandingOccupants | None
     rooms: Rooms
     boxes: LevelBoxes
     link_geometry: CollisionGeometry | None

@@ -306,8 +306,8 @@ def _build_level_grid(
     if baked_pose.areas.layers:
         attributes["area"] = np.ascontiguousarray(baked_pose.areas.layers[level][window])
     user_data = UserData()
-    if baked_structure.occupants is not None and config.names.enabled:
-        cell_names = name_occupants(baked_structure.occupants, occupants, level, window)
+    if baked_structure.named_occupants is not None:
+        cell_names = name_occupants(baked_structure.named_occupants, occupants, level, window)
         num_levels = len(baked_structure.floors.levels)
         # Names are put into words when user data is first read.
         user_data = UserData(lambda: with_door_names(cell_names, doors, level, num_levels).source)
@@ -362,7 +362,7 @@ def _make_metadata(
     if agents:
         navbake_metadata["agents"] = agents
     navbake_metadata["names"] = config.names.enabled
-    if baked_structure.occupants is not None and config.names.enabled:
+    if baked_structure.named_occupants is not None:
         navbake_metadata["boxes"] = copy_json(baked_pose.name_boxes)
     navbake_metadata["rooms"] = copy_json(baked_pose.room_table)
     navbake_metadata["doors"] = [copy_json(grid_door.entry) for grid_door in baked_pose.grid_doors]

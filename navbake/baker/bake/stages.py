@@ -475,7 +475,7 @@ class Stages:
             lattice=self.lattice,
             floors=self.floors,
             layers=crop_layers(self.floors.levels, self.rooms, boxes.windows),
-            occupants=self.standing_occupants,
+            named_occupants=self.standing_occupants if self.config.names.enabled else None,
             rooms=self.rooms,
             boxes=boxes,
             link_geometry=link_geometry,
@@ -512,8 +512,8 @@ class Stages:
         occupants = self.occupants
         doors = select_doors(self.doors)
         name_boxes: dict[str, list[float]] = {}
-        if baked_structure.occupants is not None and self.config.names.enabled:
-            names = baked_structure.occupants.names
+        if baked_structure.named_occupants is not None:
+            names = baked_structure.named_occupants.names
             name_boxes = measure_names(self.scene.shapes, np.arange(len(names)), names)
         return BakedPose(
             scene=self.scene,

@@ -193,8 +193,8 @@ class Baker:
         stages = open_stages(self._config, StageClock(), scene_model=scene_model)
         structure = stages.baked_structure
         geoms_of_name: dict[str, list[int]] = {}
-        if structure.occupants is not None and self._config.names.enabled:
-            for geom, name in enumerate(structure.occupants.names):
+        if structure.named_occupants is not None:
+            for geom, name in enumerate(structure.named_occupants.names):
                 geoms_of_name.setdefault(name, []).append(geom)
         return BakedScene(
             structure=structure,

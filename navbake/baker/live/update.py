@@ -127,8 +127,10 @@ def update_baked_scene(
         if leaves is not old_pose.leaves or occupants is not old_pose.occupants:
             grid_doors = _update_grid_doors(leaves, occupants, cells, baked_scene, config)
     name_boxes = old_pose.name_boxes
-    if baked_scene.geoms_of_name and change.is_changed_geom.any():
-        name_boxes = _update_name_boxes(scene.shapes, change.is_changed_geom, baked_scene)
+    if structure.named_occupants is not None and change.is_changed_geom.any():
+        name_boxes = _update_name_boxes(
+            scene.shapes, change.is_changed_geom, structure.named_occupants.names, baked_scene
+        )
     areas = old_pose.areas
     if config.areas:
         areas = paint_areas(
@@ -268,21 +270,20 @@ def _update_lost_floors(
 
 
 def _update_name_boxes(
-    shapes: Shapes, is_changed_geom: Bool, baked_scene: BakedScene
+    shapes: Shapes, is_changed_geom: Bool, names: list[str], baked_scene: BakedScene
 ) -> dict[str, list[float]]:
     """Measure again the boxes round the geoms of each name that a changed geom has.
 
     Args:
         shapes: all geometry that the bake uses, in the next pose.
         is_changed_geom: the geoms that have changed, (ngeom,).
+        names: for each geom, the name under which cells list it.
         baked_scene: the values of the last bake or update.
 
     Returns:
         Name -> its box, see `BakedPose.name_boxes`.
     """
     old_boxes = baked_scene.pose.name_boxes
-    assert baked_scene.structure.occupants is not None  # it has the names
-    names = baked_scene.structure.occupants.names
     changed_names = {names[geom] for geom in np.flatnonzero(is_changed_geom).tolist()}
     geoms = [geom for name in changed_names for geom in baked_scene.geoms_of_name[name]]
     changed_boxes = measure_names(shapes, np.array(geoms), [names[geom] for geom in geoms])
