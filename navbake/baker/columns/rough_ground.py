@@ -161,20 +161,7 @@ def _find_steep_facets(
     )
     if not len(hit_indices):
         return hit_indices, hit_indices
-    # all other columns may be invalid; the hits of these are in the order of their cells
-    first_cell, end_cell = columns.valid_rows.cell_range(columns.lattice)
-    first_hits = columns.start[first_cell:end_cell]
-    end_hits = columns.start[first_cell + 1 : end_cell + 1]
-    if is_selected is not None:
-        selected_cells = np.flatnonzero(is_selected)
-        first_hits = columns.start[selected_cells]
-        end_hits = columns.start[selected_cells + 1]
-    # of several columns that begin at the same hit, all but the last are empty
-    column_index = np.searchsorted(first_hits, hit_indices, side="right") - 1
-    is_in_column = (column_index >= 0) & (hit_indices < end_hits[column_index])
-    column_index = column_index[is_in_column]
-    hit_indices = hit_indices[is_in_column]
-    cell_ids = first_cell + column_index if is_selected is None else selected_cells[column_index]
+    cell_ids, hit_indices = _find_cells_of_hits(columns, hit_indices, is_selected)
     low_z = columns.z[hit_indices] + SAME_HEIGHT
     high_z = columns.z[hit_indices] + limits.headroom - LIMIT_SLACK
     lacks_headroom = np.empty(len(hit_indices), dtype=np.bool_)
@@ -182,6 +169,33 @@ def _find_steep_facets(
         find_blocked_lines, len(hit_indices), cell_ids, low_z, high_z, columns.hits, lacks_headroom
     )
     return cell_ids[~lacks_headroom], hit_indices[~lacks_headroom]
+
+
+def _find_cells_of_hits(
+    columns: Columns, hit_indices: Int, is_selected: Bool | None
+) -> tuple[Int, Int]:
+    """Find the cell of each hit, and leave out the hits of invalid columns.
+
+    Args:
+        columns: the columns.
+        hit_indices: indices of hits, ascending, (n,).
+        is_selected: mask of the cells whose columns are valid, see `replace_rough_ground_normals`.
+
+    Returns:
+        The cells of the hits that remain, (k,), and the indices of these hits, (k,).
+    """
+    # A column has the hits from its start up to the next column's. Of several columns that start at
+    # the same hit, all but the last are empty.
+    if is_selected is None:  # there are no hits but those of the valid rows
+        first_cell, end_cell = columns.valid_rows.cell_range(columns.lattice)
+        starts = columns.start[first_cell:end_cell]
+        return first_cell + np.searchsorted(starts, hit_indices, side="right") - 1, hit_indices
+    selected_cells = np.flatnonzero(is_selected)
+    first_hits = columns.start[selected_cells]
+    end_hits = columns.start[selected_cells + 1]
+    column_index = np.searchsorted(first_hits, hit_indices, side="right") - 1
+    is_in_column = (column_index >= 0) & (hit_indices < end_hits[column_index])
+    return selected_cells[column_index[is_in_column]], hit_indices[is_in_column]
 
 
 def _mark_clearly_steep(sample_heights: Float, sample_offsets: Float, limits: AgentLimits) -> Bool:

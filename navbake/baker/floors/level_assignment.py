@@ -801,13 +801,15 @@ def _are_dispensable(
 ) -> bool:
     """Return whether the surfaces without a level can be left out.
 
-    In each region they must be small. Stairs are small if they are nowhere wider than
-    `floors.shrink`. Floors (if `surface_levels.skips_floors`) are small if they don't keep
-    `floors.min_area` when shrunk by `floors.shrink`; and if those in columns without stairs, whose
-    place another floor takes, don't keep it when shrunk by half of it: a storey among walls and
-    furniture is narrow, too. And leaving them out must not cut a floor in two: their regions must
-    not get more large walkable areas than they have with all surfaces. In a walkable area, an agent
-    can walk from each surface to each other one.
+    They can if two rules hold. In each region, the surfaces that are left out are small:
+
+    - Stairs are small if they are nowhere wider than `floors.shrink`.
+    - Floors, which are left out if `surface_levels.skips_floors`, are small if less than
+      `floors.min_area` remains of them when they are shrunk by `floors.shrink`. The floors in
+      columns without stairs must be small even when they are shrunk by half of this width.
+
+    And no floor is cut in two: the regions have no more large walkable areas without these surfaces
+    than with them. In a walkable area, an agent can walk from each surface to each other one.
 
     Args:
         assignment_input: the surfaces to assign.
@@ -822,19 +824,21 @@ def _are_dispensable(
     lattice = assignment_input.regions.lattice
     settings = assignment_input.settings
     narrow_limits = settings.model_copy(update={"shrink": settings.shrink / 2})
+    # a stair is large if a single cell of it remains
     stair_limits = narrow_limits.model_copy(update={"min_area": lattice.cell_size**2})
     has_stairs = _mark_cells_with_stairs(assignment_input)
     for region_surfaces in regions_without_level:
         has_no_level = surface_levels.level_of_surface[region_surfaces.surface_id] <= NO_FREE_LEVEL
         is_left_out = np.zeros(lattice.width * lattice.height, dtype=np.bool_)
         is_left_out[region_surfaces.cell[has_no_level]] = True
-        if not surface_levels.skips_floors:
-            is_large = is_large_enough(lattice, stair_limits, is_left_out)
-        else:
-            is_large = is_large_enough(lattice, settings, is_left_out) or is_large_enough(
-                lattice, narrow_limits, is_left_out & ~has_stairs
-            )
-        if is_large:
+        if surface_levels.skips_floors:
+            if is_large_enough(lattice, settings, is_left_out):
+                return False
+            # where another floor, and no stair, took the place: a storey among walls and furniture
+            # is narrow
+            if is_large_enough(lattice, narrow_limits, is_left_out & ~has_stairs):
+                return False
+        elif is_large_enough(lattice, stair_limits, is_left_out):
             return False
     group_of_surface = assignment_input.candidates.group_of_surface
     group_of_remaining_surface = np.where(
