@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from navbake.baker.core.tiles import CENTER_MARGIN
 from navbake.navgrid.lattice import Lattice
 from navbake.types import Bool, Float, Int
 
@@ -61,13 +62,14 @@ def clip_boxes(lattice: Lattice, boxes: Float, margin: float) -> Float:
 
 
 def find_cells_near_boxes(lattice: Lattice, boxes: Float, distance: float) -> Int:
-    """Find the cells near boxes, seen from above.
+    """Find the cells whose centres are near boxes, seen from above.
+
+    Rounding may add a row or a column, and never loses one.
 
     Args:
         lattice: the cells.
         boxes: lower corner, upper corner, shape (n, 6) [m]; may be infinite.
-        distance: how far cells may be from a box along x and along y [m]; cells up to one cell
-            farther are returned, too.
+        distance: how far centres may be from a box along x and along y [m].
 
     Returns:
         Ids of the cells, ascending, shape (m,).
@@ -76,12 +78,15 @@ def find_cells_near_boxes(lattice: Lattice, boxes: Float, distance: float) -> In
         return np.empty(0, dtype=np.int64)
     # `rows_cols` takes finite positions only
     clipped_boxes = clip_boxes(lattice, boxes, distance + 4 * lattice.cell_size)
-    # x and y of the corners in the north-west, then in the south-east
-    corners = clipped_boxes[:, [[0, 4], [3, 1]]] + [[-distance, distance], [distance, -distance]]
+    # The first cell whose centre lies behind a position is the cell of the position half a cell
+    # farther on. So these are x and y in the first cell near each box, and in that after the last.
+    first_shift = (0.5 - CENTER_MARGIN) * lattice.cell_size - distance
+    end_shift = (0.5 + CENTER_MARGIN) * lattice.cell_size + distance
+    corners = clipped_boxes[:, [[0, 4], [3, 1]]]
+    corners += [[first_shift, -first_shift], [end_shift, -end_shift]]
     rows, cols = lattice.rows_cols(corners)
-    widening = np.array([-1, 2])  # a range ends after its last cell
-    row_ranges = (rows + widening).clip(0, lattice.height)
-    col_ranges = (cols + widening).clip(0, lattice.width)
+    row_ranges = rows.clip(0, lattice.height)
+    col_ranges = cols.clip(0, lattice.width)
     first_row = int(row_ranges[:, 0].min())
     end_row = int(row_ranges[:, 1].max())
     is_near = np.zeros((end_row - first_row, lattice.width), dtype=np.bool_)
