@@ -181,12 +181,14 @@ class Baker:
                 reason = str(full_bake_required)
                 LOG.debug("the whole scene is baked again: %s", reason)
                 baked_scene = self._bake(self._scene_model._replace(data=change.scene.data))
+            # Also while the last grid and pose are given back: then the collector, which counts
+            # objects made less objects freed, mostly finds nothing to do after an update.
             with without_garbage_collection():
                 grid = build_grid(self._config, baked_scene.structure, baked_scene.pose)
                 cells, is_new = _find_changed_cells(self._grid, grid, baked_scene)
-            self._tracked_scene.commit(baked_scene.pose.scene, change.snapshot)
-            self._grid = grid
-            self._baked = baked_scene
+                self._tracked_scene.commit(baked_scene.pose.scene, change.snapshot)
+                self._grid = grid
+                self._baked = baked_scene
             return Changes(grid, cells, is_new, reason, time.perf_counter() - start_time)
 
     def _bake(self, scene_model: SceneModel) -> BakedScene:
