@@ -2,6 +2,8 @@
 
 from collections.abc import Iterable
 
+FAR_COORDINATE = 10_000.0  # beyond it, six digits tell no centimetres any more [m]
+
 
 def format_length(length: float, num_decimals: int = 2) -> str:
     """Format a length or a coordinate with a fixed number of decimals; it is never ``-0.00``.
@@ -14,7 +16,7 @@ def format_length(length: float, num_decimals: int = 2) -> str:
 
 
 def format_position(position: Iterable[float]) -> str:
-    """Format a position for a message, with six digits a number; none of them is ``-0``.
+    """Format a position for a message, see `format_coordinate`.
 
     Args:
         position: The coordinates, finite numbers [m].
@@ -26,16 +28,20 @@ def format_position(position: Iterable[float]) -> str:
 
 
 def format_coordinate(coordinate: float) -> str:
-    """Format a coordinate or a bound for a message, with six digits; it is never ``-0``.
+    """Format a coordinate or a bound for a message; it is never ``-0``.
 
     Args:
         coordinate: The coordinate, a finite number [m].
 
     Returns:
-        The number to a micrometre, such as ``-2.25``.
+        The number with six digits, to a micrometre at most, such as ``-2.25``. Beyond 10 km, to a
+        centimetre, such as ``5411932.25``: places of maps in UTM lie so far from the origin.
     """
     # a millionth of a metre is far below what positions are exact to
-    return f"{round(float(coordinate), 6) + 0.0:g}"
+    rounded_coordinate = round(float(coordinate), 6) + 0.0
+    if abs(rounded_coordinate) < FAR_COORDINATE:
+        return f"{rounded_coordinate:g}"
+    return f"{round(rounded_coordinate, 2):.12g}"
 
 
 def format_bounds(bounds: Iterable[float]) -> str:

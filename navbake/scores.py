@@ -48,6 +48,7 @@ from navbake.episodes.goals import (
 from navbake.errors import FormatError, QueryError
 from navbake.formats.npz import open_archive
 from navbake.formats.source import read_bytes, unpack
+from navbake.lengths import format_position
 from navbake.navgrid.cells import describe_outside
 from navbake.navgrid.grid import NavGrid
 from navbake.runtime.agents import fit_grid
@@ -369,7 +370,7 @@ class EpisodeMeasures(ABC):
             position_label: what the text calls a position.
         """
         row = int(np.argmin(is_inside))
-        coordinates = ", ".join(f"{value:g}" for value in positions[row])
+        coordinates = format_position(positions[row])
         return f"{position_label} {row} of episode {self.episode.id!r}, {coordinates}"
 
     @property

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import FormatError, QueryError
-from navbake.lengths import format_bounds
+from navbake.lengths import format_bounds, format_position
 from navbake.navgrid.grid import SceneGrid2D
 from navbake.navgrid.lattice import CELL_SLACK, Lattice, count_cells
 from navbake.types import Bool, Float, Int
@@ -294,8 +294,8 @@ def place_squares(
     if shape is None:
         if not (left_x < x_high and bottom_y < y_high):
             raise QueryError(
-                f"the corner ({left_x:g}, {bottom_y:g}) leaves nothing of the level, which ends "
-                f"at ({x_high:g}, {y_high:g})",
+                f"the corner ({format_position((left_x, bottom_y))}) leaves nothing of the level, "
+                f"which ends at ({format_position((x_high, y_high))})",
                 key="corner",
                 value=(left_x, bottom_y),
             )
@@ -580,7 +580,7 @@ class ExploredMap:
             "position",
             (x, y),
             expected=f"a position within the arena, {format_bounds(self.lattice.bounds)}",
-            actual=f"({x:g}, {y:g})",
+            actual=f"({format_position((x, y))})",
         )
 
     def _trace(

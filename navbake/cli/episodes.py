@@ -67,17 +67,16 @@ def episodes(
         "LENGTH,WIDTH",
         "Size of a rectangular base that has to fit, with TASK reach [m].  [default: a disc]",
     ),
-    length: int = option("N", "Goals of a sequence.", default=3, min=2),
-    of: str = option(
+    length: int | None = option("N", "Goals of a sequence.  [default: 3]", min=2),
+    of: str | None = option(
         "KIND",
-        "What its goals are: point, object or room.",
-        default="point",
+        "What its goals are: point, object or room.  [default: point]",
         choices="point|object|room",
     ),
-    share: float = option(
+    share: float | None = option(
         "SHARE",
-        "Share of the free area that has to be explored, 0 to 1, with TASK explore.",
-        default=0.9,
+        "Share of the free area that has to be explored, 0 to 1, with TASK explore.  "
+        "[default: 0.9]",
     ),
     sampler: str = option(
         "NAME",
@@ -90,7 +89,7 @@ def episodes(
     per_scene: int | None = option("N", "Episodes of each scene, in place of --count.", min=1),
     seed: int = option("N", "Seed of the draw.", default=0, min=0),
     split: list[str] | None = option("NAME=SHARE", "A part of the set. May be repeated."),
-    split_by: str = option("scene|room", "What is in one part whole.", default="scene"),
+    split_by: str | None = option("scene|room", "What is in one part whole.  [default: scene]"),
     doors: str | None = DOORS_OPTION,
     radius: float | None = option("METRES", "Agent's radius; grids are inflated for it [m]."),
     height: float | None = option("METRES", "Agent's height, at most the grid's [m]."),
@@ -115,6 +114,20 @@ def episodes(
         remedy = f"`navbake convert SET.jsonl {output}` writes it then"
         problem = f"expected a name that ends in {endings_text}, got {output}: {remedy}"
         raise BadParameter(problem, param_hint="-o")
+    goal_kind = (of or "point") if task == "sequence" else task
+    has_object_goals = goal_kind in ("object", "reach")
+    has_room_goals = goal_kind == "room"
+    has_named_goals = has_object_goals or has_room_goals
+    options.refuse_unused(
+        ("--object", bool(objects), has_object_goals, "--task object and reach, --of object"),
+        ("--room", bool(rooms), has_room_goals, "--task room, --of room"),
+        ("--categories", categories is not None, has_named_goals, "goals that have names"),
+        ("--footprint", footprint is not None, task == "reach", "--task reach"),
+        ("--length", length is not None, task == "sequence", "--task sequence"),
+        ("--of", of is not None, task == "sequence", "--task sequence"),
+        ("--share", share is not None, task == "explore", "--task explore"),
+        ("--split-by", split_by is not None, bool(split), "--split"),
+    )
     options.check_output(output, *EPISODE_SUFFIXES, inputs=grids)
     from msgspec import ValidationError, convert  # --help does without it
 
@@ -122,6 +135,9 @@ def episodes(
     from navbake.yaml_text import read_yaml  # PyYAML loads slowly
 
     task_fields: dict[str, Any] = {"objects": objects or (), "rooms": rooms or ()}
+    for name, value in (("length", length), ("of", of), ("share", share)):
+        if value is not None:
+            task_fields[name] = value
     if task == "reach":
         stance: dict[str, Any] = {}
         if reach is not None:
@@ -129,8 +145,6 @@ def episodes(
         if footprint is not None:
             stance["footprint"] = options.parse_rectangle(footprint, "--footprint")
         task_fields["stance"] = stance
-    elif footprint is not None:
-        raise BadParameter("does nothing here: it is for --task reach", param_hint="--footprint")
     elif reach is not None:
         task_fields["radius"] = options.parse_length(reach, "--reach")
     if categories is not None:
@@ -138,8 +152,7 @@ def episodes(
             patterns = convert(read_yaml(categories), dict[str, list[str] | str])
         except ValidationError as error:
             raise ConfigError(f"cannot read {categories}: {error}") from error
-        field_name = "rooms" if "room" in (task, of) else "objects"
-        task_fields[field_name] = {
+        task_fields["rooms" if has_room_goals else "objects"] = {
             label: [pattern] if isinstance(pattern, str) else pattern
             for label, pattern in patterns.items()
         }
@@ -152,7 +165,7 @@ def episodes(
     sampler_rules = sets.make_rules(sampler, **rules)
     episode_set = sets.make_episodes(
         loaded_grids,
-        sets.make_task(task, length=length, of=of, share=share, **task_fields),
+        sets.make_task(task, **task_fields),
         sampler_rules,
         count=count,
         seed=seed,
@@ -160,7 +173,7 @@ def episodes(
         height=height,
         speed=speed,
         agent=agent,
-        splits=sets.make_splits(shares, split_by),
+        splits=sets.make_splits(shares, split_by or "scene"),
         files=[find_relative_path(grid, output.parent) for grid in grids],
     )
     sets.write_episodes(episode_set, output)

@@ -28,6 +28,7 @@ from navbake.cli.printing import VERBOSITY, print_error, use_verbosity
 from navbake.errors import ConfigError, NavbakeError, printable
 from navbake.formats.source import write_bytes
 from navbake.known_names import find_similar_names
+from navbake.lengths import format_coordinate, format_position
 
 if TYPE_CHECKING:
     from navbake.navgrid.grid import NavGrid
@@ -660,10 +661,11 @@ def position_of_place(grid: NavGrid, place: TypedPlace, option: str) -> list[flo
         if cell and cell.floor is not None:
             floor_by_level[level_number] = cell.floor
     if level is None and not floor_by_level:
-        raise BadParameter(f"no level has a floor at {x:g}, {y:g}", param_hint=option)
+        raise BadParameter(f"no level has a floor at {format_position((x, y))}", param_hint=option)
     if level is None and len(floor_by_level) > 1:
-        got_text = f"{x:g},{y:g}, where {len(floor_by_level)} levels have a floor"
-        hint = " or ".join(f"{x:g},{y:g},L{level_number}" for level_number in floor_by_level)
+        place_text = f"{format_coordinate(x)},{format_coordinate(y)}"
+        got_text = f"{place_text}, where {len(floor_by_level)} levels have a floor"
+        hint = " or ".join(f"{place_text},L{level_number}" for level_number in floor_by_level)
         message = f"expected a place with a level or z, got {got_text}: write {hint}"
         raise BadParameter(message, param_hint=option)
     if level is None:
@@ -671,5 +673,7 @@ def position_of_place(grid: NavGrid, place: TypedPlace, option: str) -> list[flo
     z = float(floor_by_level.get(level, grid.levels[level].ground))
     cell_at_floor = grid.cell_at((x, y, z))
     if cell_at_floor is not None and cell_at_floor.level != level:
-        raise BadParameter(f"level {level} has no floor at {x:g}, {y:g}", param_hint=option)
+        raise BadParameter(
+            f"level {level} has no floor at {format_position((x, y))}", param_hint=option
+        )
     return [x, y, z]

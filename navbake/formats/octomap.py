@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from navbake.errors import FormatError
 from navbake.formats.allowance import Allowance, JsonPath
 from navbake.formats.source import read_bytes, read_header
+from navbake.lengths import format_position
 from navbake.types import Int
 from navbake.voxels.grid import VoxelGrid, to_finite_array
 
@@ -167,7 +168,7 @@ def _find_first_key(grid: VoxelGrid) -> Int:
     if max_misalignment > LATTICE_TOLERANCE:
         raise FormatError(
             f"an octree's voxels lie on whole multiples of their edge {grid.res:g} m, and this "
-            f"grid's lower corner ({', '.join(f'{value:g}' for value in grid.origin)}) is "
+            f"grid's lower corner ({format_position(grid.origin)}) is "
             f"{max_misalignment * grid.res:.3g} m off: make the grid with align=True (--align)"
         )
     if np.abs([nearest_corner, nearest_corner + grid.shape]).max() > CENTER_KEY:

@@ -39,6 +39,7 @@ from navbake.formats.source import (
     write_bytes,
     write_files,
 )
+from navbake.lengths import format_position
 from navbake.navgrid.lattice import MAX_COORDINATE
 from navbake.types import Float
 from navbake.voxels.grid import AIRSIM_SHIFT, VoxelGrid, check_three_numbers
@@ -397,7 +398,7 @@ def read_binvox(
     notes.append(
         f"{name}: laid out as AirSim writes it (scale {header.scale:g} is 1 / size): read as "
         f"north, east, up, voxels of {edge:g} m{hint if is_edge_uncertain else ''}, "
-        f"round ({', '.join(f'{coordinate:g}' for coordinate in center)})"
+        f"round ({format_position(center)})"
     )
     x, y, z = (center + first_middle - edge / 2).tolist()
     return VoxelGrid(values=values, origin=(x, y, z), res=edge, notes=notes)

@@ -19,7 +19,7 @@ from PIL import Image
 
 from navbake.errors import MissingDependencyError, QueryError, printable
 from navbake.formats.source import write_bytes
-from navbake.lengths import format_position
+from navbake.lengths import format_coordinate, format_position
 from navbake.navgrid.cells import check_level
 from navbake.navgrid.colors import DOOR, LINK, ROUTE, STAND, TARGET, rgb_of
 from navbake.navgrid.grid import NavGrid
@@ -371,7 +371,7 @@ def _find_view_bounds(
         or max(wanted[0], x_min) >= min(wanted[2], x_max)
         or max(wanted[1], y_min) >= min(wanted[3], y_max)
     ):
-        got_text = ", ".join(f"{value:g}" for value in wanted)
+        got_text = ", ".join(map(format_coordinate, wanted))
         raise QueryError(
             f"expected bounds {expected}, got {got_text}",
             key="bounds",

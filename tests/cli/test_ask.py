@@ -57,6 +57,32 @@ def test_the_nearest_of_several_and_heights(plan):
     assert json.loads(out)["path"]["positions"][-1][:2] == [1.0, -5.0]
 
 
+def test_goals_on_one_level_may_be_typed_with_and_without_z(plan):
+    near, far = "0.6,0.6", "-1,-1"
+    for goals in ((near, f"{far},0"), (f"{far},0", near)):
+        ends = ("--from", "0.5,0.5", "--to", goals[0], "--to", goals[1])
+        status, out, err = plan(APARTMENT, *ends, "--json")
+        assert (status, err) == (0, "")
+        assert json.loads(out)["path"]["positions"][-1][:2] == [0.6, 0.6]
+    beside = plan(APARTMENT, "--from", "0.5,0.5", "--to", "99,99", "--to", f"{near},0", "--json")
+    assert json.loads(beside[1])["path"]["positions"][-1][:2] == [0.6, 0.6]
+
+
+def test_places_far_from_the_origin_are_told_to_a_centimetre(run, tmp_path):
+    house = navbake.load(HOUSE)
+    for level in house.levels:
+        x, ground, z = level.min_yup
+        level.min_yup = (x + 448_262.0, ground, z - 5_411_932.0)
+    house.save(tmp_path / "far.json")
+    status, _, err = run(
+        "path", tmp_path / "far.json", "--from", "448262.25,5411930.75", "--to", "0,0"
+    )
+    assert status == 2
+    assert "write 448262.25,5411930.75,L0 or 448262.25,5411930.75,L1" in err
+    status, _, err = run("why", tmp_path / "far.json", "--at", "0,5411930.75,0")
+    assert "lies beside the grid, x 4482" in err and "y 54119" in err and "e+06" not in err
+
+
 def test_a_path_may_keep_to_the_centres(plan):
     smooth, rough = (
         json.loads(plan(APARTMENT, "--from", "0,0", "--to", "room:bedroom", "--json", *option)[1])

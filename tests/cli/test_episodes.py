@@ -104,6 +104,29 @@ def test_objects_are_reached_by_poses_and_scored_with_headings(run):
         assert status == 2 and message in err
 
 
+def test_options_that_the_task_does_not_read_are_refused(run):
+    args = ("episodes", "house.json.gz", "-o", "refused.jsonl", "--count", "2")
+    for task, option, value in (
+        ("point", "--object", "bed_1"),
+        ("room", "--object", "bed_1"),
+        ("point", "--room", "0:1"),
+        ("reach", "--room", "0:1"),
+        ("explore", "--categories", "categories.yaml"),
+        ("object", "--of", "room"),
+        ("point", "--length", "3"),
+        ("point", "--share", "0.9"),
+        ("point", "--split-by", "scene"),
+    ):
+        status, _, err = run(*args, "--task", task, option, value)
+        assert status == 2 and f"{option}: does nothing here" in err, (task, option)
+    assert not Path("refused.jsonl").exists()
+    assert (
+        run(*args, "--task", "sequence", "--of", "room", "--room", "0:*", "--length", "2")[0] == 0
+    )
+    goals = read_episodes("refused.jsonl").episodes[0].goals
+    assert len(goals) == 2 and all(goal.room.startswith("0:") for goal in goals)
+
+
 def test_objects_by_a_file_of_categories_and_splits(run):
     Path("categories.yaml").write_text("seat: [chair*, sofa*]\ntable: '*table*'\n")
     args = ("episodes", "house.json.gz", "-o", "set.jsonl.gz", "--task", "object", "-q")

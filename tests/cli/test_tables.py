@@ -95,6 +95,7 @@ def test_rooms_of_one_level_have_short_rows():
 def test_positions_have_six_digits_and_no_minus_zero():
     assert format_position(np.array([-0.0, -1e-9, 1234.5678, 1e-5])) == "0, 0, 1234.57, 1e-05"
     assert format_position((1, -2.5)) == "1, -2.5"
+    assert format_position((448262.254, -5411932.2, 1e9)) == "448262.25, -5411932.2, 1000000000"
 
 
 def test_no_length_is_minus_zero():

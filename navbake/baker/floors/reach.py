@@ -35,7 +35,7 @@ from navbake.baker.floors.surfaces import find_highest_within_step
 from navbake.baker.geometry.overlap_kernels import find_blocked_lines
 from navbake.config.settings import AgentSettings, FloorSettings
 from navbake.errors import SceneError
-from navbake.lengths import format_length
+from navbake.lengths import format_length, format_position
 from navbake.threads import run_in_chunks
 from navbake.types import Bool, Int
 
@@ -119,7 +119,7 @@ def find_start_regions(
                     f"floors there are at {', '.join(map(format_length, surface_heights))} m"
                 )
             raise SceneError(
-                f"no floor at `floors.from[{position_number}]` ({x:g}, {y:g}, {z:g}): "
+                f"no floor at `floors.from[{position_number}]` ({format_position((x, y, z))}): "
                 f"expected one that an agent can stand on, at most a step higher; {heights_text}"
             )
         # the first that exists: the region at the position, a floor below it, a floor beside it
