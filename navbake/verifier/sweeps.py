@@ -448,10 +448,11 @@ def _check_drop_or_jump(
 
     start_walk = _walk_from_stop(start_level, line_points, agent.step)
     landing_walk = _walk_from_stop(end_level, line_points[::-1], agent.step)
-    crossed_points = line_points[
-        max(start_walk.last_point_index, 0) : len(line_points)
-        - max(landing_walk.last_point_index, 0)
-    ]
+    # from the last point on the floor of the start, to the first one on the floor of the landing,
+    # which is walked from the end
+    num_walked_at_start = max(start_walk.last_point_index, 0)
+    num_walked_at_end = max(landing_walk.last_point_index, 0)
+    crossed_points = line_points[num_walked_at_start : len(line_points) - num_walked_at_end]
     if len(crossed_points) < 2:  # the agent walks from stop to stop
         return []
 
@@ -471,10 +472,8 @@ def _check_drop_or_jump(
         half_width = max(half_cell_size, agent.radius)
         half_size = np.array([half_width, half_width, half_z])
         for obstacle in probe.obstacles.find_overlapping(center - half_size, center + half_size):
-            if any(
-                probe.find_contact(obstacle, prism, center, -tolerance) == TOUCHES
-                for prism in prisms
-            ):
+            contacts = (probe.find_contact(obstacle, prism, center, -tolerance) for prism in prisms)
+            if TOUCHES in contacts:
                 name = probe.obstacles.geom_name(obstacle)
                 text = f"{link.kind} {link.name!r} runs into {name!r}"
                 return [_link_finding(LINK_TOUCHES, link, grid, (x, y, floor), text, name)]

@@ -245,6 +245,7 @@ def verify_scene(
             notes.append(f"no paths were swept: {error}")
 
     findings.sort(key=lambda finding: (finding.level, finding.cell or (-1, -1), finding.kind))
+    # the report holds the list of notes: those that follow need its totals, or come last
     report = VerifyReport(
         scene_id=verified_grid.scene_id,
         num_cells=sum(level.width * level.height for level in verified_grid.levels),

@@ -151,19 +151,19 @@ def _find_tops(
     """
     tops = []
     num_misplaced_cells = np.zeros(len(free_floors), dtype=np.int64)
-    # the levels in the order of their lowest floors, and the index in it before which there are no
-    # levels with a number of at least k, for each k
+    # The levels in the order of their lowest floors. For each k, the levels from number k on begin
+    # at an index in this order: levels at a smaller index all have numbers below k.
     ascending_levels = np.argsort(lowest_floors, kind="stable")
     index_of_level = np.argsort(ascending_levels)
-    first_index_of_level = np.minimum.accumulate(index_of_level[::-1])[::-1].tolist()
-    first_index_of_level.append(len(ascending_levels))
+    first_index_from_level = np.minimum.accumulate(index_of_level[::-1])[::-1].tolist()
+    first_index_from_level.append(len(ascending_levels))
     for k, (floor, window, bottom) in enumerate(zip(free_floors, windows, bottoms, strict=True)):
         free_heights = floor[~np.isnan(floor)]
         highest_floor = float(free_heights.max(initial=-np.inf))
         levels_above = []
         # the box ends below this height: levels whose floors are all higher do not matter
         height_limit = np.inf
-        for j in ascending_levels[first_index_of_level[k + 1] :].tolist():
+        for j in ascending_levels[first_index_from_level[k + 1] :].tolist():
             if lowest_floors[j] > height_limit:
                 break
             if j <= k:
@@ -186,19 +186,19 @@ def _find_tops(
             heights_above[heights_above > highest_contained_floor].min(initial=np.inf)
         )
         top_limit = min([*top_limits, next_floor - BOX_MARGIN])
-        # The next float below, so that the top stays below the limit however large both are.
-        top_below_limit = min(
-            round(top_limit - BOX_GAP, BOX_DECIMALS), np.nextafter(top_limit, -np.inf)
-        )
-        tops.append(
-            max(
-                highest_top if top_limit > highest_top else float(top_below_limit),
-                highest_contained_floor,
-                bottom,
-            )
-        )
-        for j, z in zip([k, *levels_above], [floor, *floors_above], strict=True):
-            is_misplaced = z > tops[k] if j == k else (z >= bottom) & (z <= tops[k])
+        top = highest_top
+        if top_limit <= highest_top:
+            top = round(top_limit - BOX_GAP, BOX_DECIMALS)
+            # however large the limit is, the top is below it: at the next float, if need be
+            top = float(min(top, np.nextafter(top_limit, -np.inf)))
+        top = max(top, highest_contained_floor, bottom)
+        tops.append(top)
+        # the client misses the floors above the box, and takes higher levels' floors in it for k's
+        is_misplaced = floor > top
+        num_misplaced_cells[k] += np.count_nonzero(is_misplaced)
+        floor[is_misplaced] = np.nan
+        for j, z in zip(levels_above, floors_above, strict=True):
+            is_misplaced = (z >= bottom) & (z <= top)
             num_misplaced_cells[j] += np.count_nonzero(is_misplaced)
             z[is_misplaced] = np.nan
     return tops, num_misplaced_cells

@@ -209,15 +209,16 @@ def find_standing_cells(
                 slice(first_cell, end_cell), occupancy.geom, occupancy.flags
             )
 
-    tile_rows_per_call = -(-CELLS_PER_CALL // (TILE * lattice.width))
+    tile_rows_per_call = -(-CELLS_PER_CALL // (TILE * lattice.width))  # rounded up
     for chunk in columns.row_chunks():
         tiled_shapes = chunk.nearby_shapes or shape_source.shapes_near_rows(chunk.valid_rows)
         first_cell, end_cell = chunk.valid_rows.cell_range(lattice)
         first_tile_row = chunk.valid_rows.first // TILE
+        end_tile_row = -(-chunk.valid_rows.end // TILE)  # rounded up
         lists_by_tile_row = dict[int, CellLists]()
         run_in_chunks(
             check_tile_rows,
-            -(-chunk.valid_rows.end // TILE) - first_tile_row,
+            end_tile_row - first_tile_row,
             chunk,
             tiled_shapes,
             lists_by_tile_row,

@@ -622,11 +622,10 @@ def _read_plain_ply(path: Path) -> Triangles | None:
         header_match["count"],
         header_match["index"],
     }
-    is_plain = PLY_COORDINATES <= property_names <= PLY_VERTEX_PROPERTIES
-    is_plain = (
-        is_plain and len(property_names) == len(properties) and type_names <= PLY_TYPES.keys()
-    )
-    if not is_plain:
+    has_plain_properties = PLY_COORDINATES <= property_names <= PLY_VERTEX_PROPERTIES
+    has_unique_names = len(property_names) == len(properties)
+    has_readable_types = type_names <= PLY_TYPES.keys()
+    if not (has_plain_properties and has_unique_names and has_readable_types):
         return None
     vertex_type = np.dtype(
         [(name.decode(), byte_order + PLY_TYPES[type_name]) for type_name, name in properties]

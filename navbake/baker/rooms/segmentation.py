@@ -357,7 +357,7 @@ def spread_labels(label: Int32, is_open: Bool) -> None:
         ]
     )
     neighbor_steps = (0, 1), (1, 0), (0, -1), (-1, 0)  # rows and columns to them
-    # from each cell to the cell that its label is from
+    # from each cell to its label's source
     rows_to_sources = np.zeros(label.size, dtype=np.int32)
     cols_to_sources = np.zeros(label.size, dtype=np.int32)
     while True:
@@ -382,11 +382,11 @@ def spread_labels(label: Int32, is_open: Bool) -> None:
             is_clockwise = (
                 best_cols_to_source * rows_to_source - best_rows_to_source * cols_to_source > 0
             )
-            is_tie_winner = (new_label < best_label) | (new_label == best_label) & is_clockwise
-            is_nearer = (squared_distance < best_squared_distance) | (
-                squared_distance == best_squared_distance
-            ) & is_tie_winner
-            is_better = (new_label > 0) & ((best_label == 0) | is_nearer)
+            wins_tie = (new_label < best_label) | ((new_label == best_label) & is_clockwise)
+            is_nearer = squared_distance < best_squared_distance
+            is_as_near = squared_distance == best_squared_distance
+            is_first = best_label == 0
+            is_better = (new_label > 0) & (is_first | is_nearer | (is_as_near & wins_tie))
             np.copyto(best_squared_distance, squared_distance, where=is_better)
             np.copyto(best_label, new_label, where=is_better)
             np.copyto(best_rows_to_source, rows_to_source, where=is_better)

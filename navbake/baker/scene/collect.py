@@ -443,11 +443,12 @@ def collect_shapes(
             continue
         if geom_type == constants.PLANE:
             half_sides = model.geom_size[geom, :2]
-            if _is_ground_plane(model, data, geom) or (half_sides <= 0).all():
+            is_endless_side = half_sides <= 0  # as MuJoCo means a size of 0
+            if _is_ground_plane(model, data, geom) or is_endless_side.all():
                 plane_geoms.append(geom)
                 shape_kinds[geom] = "half-space"
                 continue
-            is_endless[geom] = (half_sides <= 0).any()
+            is_endless[geom] = is_endless_side.any()
             geom_triangles = _plane_triangles(half_sides, is_strip=bool(is_endless[geom]))
         elif geom_type not in (constants.HFIELD, constants.MESH, constants.SDF) or data_id < 0:
             raise SceneError(f"geom {name!r} is broken: it has no shape (type {geom_type})")

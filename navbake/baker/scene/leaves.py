@@ -129,13 +129,14 @@ def find_door_candidates(
             for body in joint_of_body
             if is_movable_body[body] and is_structure_body[model.body_parentid[body]]
         ]
-        # A leaf without a joint stands between other geoms.
-        num_bodies = model.nbody if is_counted.sum() > 1 else 1
-        fixed_bodies = [
-            body
-            for body in range(1, num_bodies)
-            if body not in joint_of_body and not is_movable_body[body : subtree_ends[body]].any()
-        ]
+        fixed_bodies = list[int]()
+        if is_counted.sum() > 1:  # a leaf without a joint stands between other geoms
+            fixed_bodies = [
+                body
+                for body in range(1, model.nbody)
+                if body not in joint_of_body
+                and not is_movable_body[body : subtree_ends[body]].any()
+            ]
         searched_bodies = {body for body in (*hung_bodies, *fixed_bodies) if not is_named[body]}
     # body id -> geoms of the body and its descendants that count
     counted_geoms: dict[int, Int] = {}
