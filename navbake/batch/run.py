@@ -162,7 +162,10 @@ def run_batch(
                 f"into {plan.folder}",
             )
             exit_stack.callback(index_file.close)
-        inspector = Inspector(plan, (workers or 1) if executor is None else None, limits)
+        num_inspectors = None  # with an executor, this machine has nothing else to do
+        if executor is None:
+            num_inspectors = workers or 1
+        inspector = Inspector(plan, num_inspectors, limits)
         row_of_scene = _list_earlier_rows(plan, jobs, inspector, only_merge=only_merge)
         remaining_jobs = [] if only_merge else [job for job in jobs if job.id not in row_of_scene]
         batch_result = BatchResult(num_skipped=len(row_of_scene))
@@ -173,6 +176,7 @@ def run_batch(
         try:
             if remaining_jobs:
                 on_event("begin", {"scenes": len(jobs), "skipped": len(row_of_scene)})
+            # of equal scenes, one is baked, and its files are copied for the others afterwards
             twin_of_scene = find_twins(inspector, jobs, row_of_scene) if remaining_jobs else {}
             jobs_to_bake = [job for job in remaining_jobs if job.id not in twin_of_scene]
             jobs_to_copy = [

@@ -314,8 +314,8 @@ def compare_levels(
     is_same_room[0, 0] = True
     for match in room_matches:
         is_same_room[match.first_room, match.second_room] = True
-    had_no_floor = np.isnan(values_before.floor_height)
-    has_no_floor = np.isnan(values_after.floor_height)
+    had_floor = ~np.isnan(values_before.floor_height)
+    has_floor = ~np.isnan(values_after.floor_height)
     is_same_floor = np.isclose(
         values_before.floor_height,
         values_after.floor_height,
@@ -323,19 +323,28 @@ def compare_levels(
         atol=MAX_SAME_FLOOR_GAP,
         equal_nan=True,
     )
-    # the cells of each kind in `CHANGE_COLORS`; a cell has the first kind whose mask has it
-    kind_masks = [
-        values_after.is_free & ~values_before.is_free & values_before.is_inside,
-        values_before.is_free & ~values_after.is_free & values_after.is_inside,
-        ~is_same_floor & is_in_both,
-        ~is_same_room[values_before.room_index, values_after.room_index] & is_in_both,
-        (values_before.weight != values_after.weight) & is_in_both,
-        ~values_after.is_inside & (values_before.is_free | ~had_no_floor),
-        ~values_before.is_inside & (values_after.is_free | ~has_no_floor),
-        values_before.is_free,
-        ~had_no_floor,
-    ]
-    kind_of_cell = np.select(kind_masks, list(range(len(kind_masks))), len(kind_masks))
+    has_other_room = ~is_same_room[values_before.room_index, values_after.room_index]
+    was_free = values_before.is_free
+    is_free = values_after.is_free
+    # a cell has the first kind whose mask has it; so cells are the same in both levels from "free
+    # in both" on, and what is left has no floor in both
+    mask_of_kind: dict[str, Bool] = {
+        "became free": is_free & ~was_free & values_before.is_inside,
+        "became blocked": was_free & ~is_free & values_after.is_inside,
+        "floor moved": ~is_same_floor & is_in_both,
+        "other room": has_other_room & is_in_both,
+        "other weight": (values_before.weight != values_after.weight) & is_in_both,
+        "only in the first": ~values_after.is_inside & (was_free | had_floor),
+        "only in the second": ~values_before.is_inside & (is_free | has_floor),
+        "free in both": was_free,
+        "blocked in both": had_floor,
+    }
+    kind_numbers = {kind: number for number, kind in enumerate(CHANGE_COLORS)}
+    kind_of_cell = np.select(
+        list(mask_of_kind.values()),
+        [kind_numbers[kind] for kind in mask_of_kind],
+        default=kind_numbers["no floor in both"],
+    )
     first_number, second_number = level_numbers
     return LevelDifference(
         first_number, second_number, lattice, kind_of_cell.astype(np.uint8), room_matches

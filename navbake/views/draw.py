@@ -171,8 +171,8 @@ def draw(
         raise _make_error("color", color, "a colour such as #1864ab", repr(color))
     grid = content.grid if isinstance(content, PathFinder) else content
     is_grid = isinstance(grid, SceneGrid2D | MultiLevelGrid)
-    refused = {"color": color} if is_grid else {"layer": layer, "level": level}
-    for name, value in refused.items():
+    meaningless_options = {"color": color} if is_grid else {"layer": layer, "level": level}
+    for name, value in meaningless_options.items():
         if value is not None:
             kind = type(content).__name__
             raise QueryError(f"a {kind} is drawn without `{name}`, got {value!r}", key=name)

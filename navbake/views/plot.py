@@ -8,7 +8,7 @@ import math
 import textwrap
 import unicodedata
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
@@ -276,31 +276,13 @@ def render_picture(
             figure.suptitle(heading, x=0.01, ha="left", fontsize=HEADING_POINTS, fontweight="bold")
         for ax, level_number, panel in zip(axes, panel_level_numbers, panels, strict=True):
             _draw_panel(ax, panel, grid.levels[level_number].lattice.bounds, has_title=titles)
-            if overlays.route is not None:
-                _draw_route(ax, overlays.route, level_number)
-            if overlays.region is not None:
-                _shade_region(
-                    ax, overlays.region[level_number], grid.levels[level_number].lattice.bounds
-                )
-            if overlays.poses is not None:
-                poses = overlays.poses
-                is_on_level = grid.cells_at(poses.positions).level == level_number
-                _draw_poses(
-                    ax, poses.positions[is_on_level], poses.headings[is_on_level], poses.outline
-                )
-                # a point without a height, in no cell, has no box
-                boxes = poses.target_boxes[np.isfinite(poses.target_boxes).all(axis=1)]
-                middles = (boxes[:, :3] + boxes[:, 3:]) / 2.0
-                _draw_targets(ax, boxes[grid.cells_at(middles).level == level_number])
-            for mark_level, x, y, kind in overlays.marks:
-                if mark_level in (level_number, -1):
-                    color = color_of_kind[kind]
-                    ax.plot(x, y, "s", markerfacecolor="none", color=color, markersize=5, mew=1.2)
+            _draw_overlays(ax, overlays, grid, level_number, color_of_kind)
+        legend_colors = dict(color_of_kind)
         if overlays.poses is not None or overlays.region is not None:
-            color_of_kind = {**color_of_kind, "where a base can stand": STAND}
+            legend_colors["where a base can stand"] = STAND
         if overlays.poses is not None:
-            color_of_kind = {**color_of_kind, "what it reaches": TARGET}
-        legend = _draw_legend(figure, panels, color_of_kind, overlays.route is not None)
+            legend_colors["what it reaches"] = TARGET
+        legend = _draw_legend(figure, panels, legend_colors, overlays.route is not None)
         # names fit rooms, and titles fit beside each other: both need the layout
         _lay_out(figure)
         if titles:
@@ -414,6 +396,41 @@ def _keep_shown(
         and max(door.start[1], door.end[1]) >= y_min
     )
     return panel._replace(legend=legend, doors=doors)
+
+
+def _draw_overlays(
+    ax: PanelAxes,
+    overlays: Overlays,
+    grid: NavGrid,
+    level_number: int,
+    color_of_kind: Mapping[str, str],
+) -> None:
+    """Draw what lies on top of the map of a level: the parts of the overlays that are on it.
+
+    Args:
+        ax: the panel of the level.
+        overlays: the overlays of all levels.
+        grid: the grid.
+        level_number: the number of the level.
+        color_of_kind: kind of mark -> its colour.
+    """
+    if overlays.route is not None:
+        _draw_route(ax, overlays.route, level_number)
+    if overlays.region is not None:
+        level_bounds = grid.levels[level_number].lattice.bounds
+        _shade_region(ax, overlays.region[level_number], level_bounds)
+    if overlays.poses is not None:
+        poses = overlays.poses
+        is_on_level = grid.cells_at(poses.positions).level == level_number
+        _draw_poses(ax, poses.positions[is_on_level], poses.headings[is_on_level], poses.outline)
+        # a point without a height, in no cell, has no box
+        boxes = poses.target_boxes[np.isfinite(poses.target_boxes).all(axis=1)]
+        middles = (boxes[:, :3] + boxes[:, 3:]) / 2.0
+        _draw_targets(ax, boxes[grid.cells_at(middles).level == level_number])
+    for mark_level, x, y, kind in overlays.marks:
+        if mark_level in (level_number, -1):
+            color = color_of_kind[kind]
+            ax.plot(x, y, "s", markerfacecolor="none", color=color, markersize=5, mew=1.2)
 
 
 def _draw_route(ax: PanelAxes, route: Route, level_number: int) -> None:
@@ -823,6 +840,7 @@ def write_names(
         for label in labels
         if map_frame.contains(*data_to_pixels.transform((label.x, label.y)))
     ]
+    # a name without a width is that of a point
     point_pixels = [
         data_to_pixels.transform((label.x, label.y)) for label in labels if not label.width
     ]
@@ -840,10 +858,18 @@ def write_names(
         if len(full_name) > MAX_LETTERS:
             name = f"{full_name[:MAX_LETTERS]}…"
         middle_pixel = data_to_pixels.transform((label.x, label.y))
-        available_pixels = np.array([np.inf, np.inf])
-        if not is_point:
+        if is_point:  # the name stands beside the point, in the smallest letters
+            font_sizes: Sequence[float] = NAME_POINTS[-1:]
+            distances: Sequence[float] = POINT_NAME_DISTANCES
+            directions: Sequence[tuple[int, int]] = POINT_NAME_DIRECTIONS
+            available_pixels = np.array([np.inf, np.inf])
+            forbidden_boxes = [*occupied_boxes, *clear_boxes]
+        else:  # the name stands in the room's middle
+            font_sizes = NAME_POINTS
+            distances = (0.0,)
+            directions = ((0, 0),)
             available_pixels = np.array([label.width, label.height]) * pixels_per_metre
-        font_sizes = NAME_POINTS[-1:] if is_point else NAME_POINTS
+            forbidden_boxes = occupied_boxes
         candidate_texts = [
             (text, font_size) for font_size in font_sizes for text in _list_line_breaks(name)
         ]
@@ -854,9 +880,9 @@ def write_names(
             text_extent = np.array(text_artist.get_window_extent().size)
             half_extent = text_extent / 2 + 3
             candidate_boxes = []
-            for distance in POINT_NAME_DISTANCES if is_point else (0.0,):
+            for distance in distances:
                 center_offset = half_extent + POINT_HALF_SIDE + 1 + distance
-                for direction in POINT_NAME_DIRECTIONS if is_point else ((0, 0),):
+                for direction in directions:
                     # moved so that it lies on the map
                     center = np.clip(
                         middle_pixel + direction * center_offset,
@@ -864,16 +890,14 @@ def write_names(
                         map_frame.p1 - half_extent,
                     )
                     candidate_boxes.append(Bbox([center - half_extent, center + half_extent]))
-            forbidden_boxes = [*occupied_boxes, *clear_boxes] if is_point else occupied_boxes
             free_boxes = [
                 box for box in candidate_boxes if not any(map(box.overlaps, forbidden_boxes))
             ]
-            fits = (text_extent <= available_pixels).all() and (
-                2 * half_extent <= map_frame.size
-            ).all()
-            if free_boxes and fits:
+            fits_room = (text_extent <= available_pixels).all()
+            fits_map = (2 * half_extent <= map_frame.size).all()
+            if free_boxes and fits_room and fits_map:
                 break
-        else:
+        else:  # not even the number fits
             text_artist.remove()
             continue
         box = free_boxes[0]
@@ -911,7 +935,7 @@ def _draw_legend(
     Args:
         figure: the figure.
         panels: the panels.
-        color_of_kind: kind of mark -> its colour.
+        color_of_kind: kind of mark, or what poses show -> its colour.
         has_route: whether a path is drawn.
     """
     from matplotlib.lines import Line2D

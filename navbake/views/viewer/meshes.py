@@ -517,11 +517,9 @@ def _draw_meshes(
             continue
         world_vertices = vertices @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
         surface = _make_geom_surface(geom, world_vertices, faces)
-        yield (
-            surface
-            if texture_positions is None
-            else surface._replace(uv=texture_positions, texture=texture_id)
-        )
+        if texture_positions is not None:
+            surface = surface._replace(uv=texture_positions, texture=texture_id)
+        yield surface
 
 
 def _make_hfield_top(model: mujoco.MjModel, hfield_id: int) -> tuple[Float, Int]:
