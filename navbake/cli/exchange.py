@@ -155,17 +155,18 @@ def convert(
         for key, value in format_options.items()
         if value not in (None, []) and value is not False
     }
-    lower_names = source.name.lower(), output.name.lower()
+    source_name = source.name.lower()
+    output_name = output.name.lower()
     if (
         to in SET_FORMATS
-        or lower_names[0].endswith(".csv")
-        or any(name.endswith(EPISODE_ONLY_SUFFIXES) for name in lower_names)
+        or source_name.endswith((".csv", *EPISODE_ONLY_SUFFIXES))
+        or output_name.endswith(EPISODE_ONLY_SUFFIXES)
     ):
         options.refuse_unused(*((f"--{key}", True, False, "grids") for key in given_options))
         convert_episode_set(source, output, to, options.read_pairs(scene, "--scene", "NAME=ID"))
         return
     options.refuse_unused(("--scene", bool(scene), False, "sets of episodes"))
-    if source_format in ROUTE_FORMAT_NAMES or lower_names[0].endswith(ROUTE_ONLY_SUFFIXES):
+    if source_format in ROUTE_FORMAT_NAMES or source_name.endswith(ROUTE_ONLY_SUFFIXES):
         options.refuse_unused(*((f"--{key}", True, False, "grids") for key in given_options))
         _convert_routes(source, output, source_format, to)
         return

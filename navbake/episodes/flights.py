@@ -146,6 +146,7 @@ def make_flight_episodes(
                 rejected["no path"] += 1
                 num_failures += 1
                 continue
+            # over voxels, a flight is longer than the straight line, even where nothing is between
             distance = straight if finder.sees(start, goal) else flight.cost
             reason = _find_reason(distance, straight, rules)
             if reason is not None:

@@ -431,14 +431,15 @@ def make_room_graph(grid: NavGrid) -> RoomGraph:
 
     for door in grid.doors:
         door_rooms = sorted(number_of_room.get(room, 0) for room in door.rooms)
-        leaf_ends_of_level = {level: find_leaf_ends(grid, door, level) for level in door.levels}
-        level = next(
-            (number for number, ends in leaf_ends_of_level.items() if ends is not None), None
-        )
-        if level is None or len(door_rooms) != 2 or door_rooms[0] == door_rooms[1]:
-            continue  # the door has no line, or joins no two rooms
-        leaf_ends = np.array(leaf_ends_of_level[level])
+        if len(door_rooms) != 2 or door_rooms[0] == door_rooms[1]:
+            continue  # the door joins no two rooms
         joined_rooms = (door_rooms[0], door_rooms[1])
+        levels_and_ends = [(level, find_leaf_ends(grid, door, level)) for level in door.levels]
+        levels_with_line = [(level, ends) for level, ends in levels_and_ends if ends is not None]
+        if not levels_with_line:
+            continue  # on no level the door has a line
+        level, line_ends = levels_with_line[0]
+        leaf_ends = np.array(line_ends)
         # the openings that the door closes
         opening_numbers = [
             number

@@ -173,6 +173,7 @@ def find_stair_cells(grid: NavGrid, level_number: int) -> Bool:
             has_floor & ~is_outdoors & (smooth_part_of_cell == indoor_part_sizes.argmax())
         )
     ground_height = find_commonest_height(floor[is_in_ground_part])
+    # a free cell without a floor counts as ground: its NaN is not more than a step away
     is_ground = is_free & ~(np.abs(floor - ground_height) > max_step)
     if not (is_free & ~is_ground).any():
         return is_closed
@@ -355,6 +356,7 @@ def describe_losses(
         if barred_area:
             names_text = _list_names(barring_area_names)
             phrases.append(f"barred areas ({names_text}: {barred_area:.2f} m² are occupied)")
+        # those that the line above doesn't name
         other_area_names = [
             area.name
             for area in grid.areas

@@ -246,12 +246,8 @@ def _mark_zones(
         mask_value = OCCUPIED
         if is_speed_mask:
             name, _, percent_text = zone_text.rpartition("=")
-            if (
-                not name
-                or not percent_text.isdecimal()
-                or len(percent_text) > 3
-                or not 1 <= int(percent_text) <= 100
-            ):
+            is_number = percent_text.isdecimal() and len(percent_text) <= 3
+            if not (name and is_number and 1 <= int(percent_text) <= 100):
                 expected = "NAME=PERCENT, 1 to 100, as zone"
                 raise FormatError(
                     f"expected {expected}, got {zone_text!r}",

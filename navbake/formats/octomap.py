@@ -93,7 +93,7 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
         level_keys = first_keys >> level
         # children come in pairs along each axis, so the grid is padded to even keys
         padding = [
-            (int(key) & 1, int(key) + num_voxels & 1)
+            (int(key) & 1, (int(key) + num_voxels) & 1)
             for key, num_voxels in zip(level_keys, states.shape, strict=True)
         ]
         child_states = np.pad(states, padding, constant_values=UNKNOWN)
@@ -110,9 +110,10 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
         sibling_states = child_states_in_octets[i, :, j, :, k].swapaxes(1, 3).reshape(-1, 8)
         parent_corners = (parent_indices + (level_keys >> 1)) << (level + 1)
         child_bits = CHILD_BITS[kind][sibling_states] << (np.arange(8) * bits_per_child)
-        # the file's order: Morton codes of corners, then parents before children
+        # the file's order: Morton codes of corners, then parents before children. The lowest 5
+        # bits of a sort key are the node's depth.
         parent_keys = _morton_codes(parent_corners) << 5
-        sort_keys.append(parent_keys | depth - 1)
+        sort_keys.append(parent_keys | (depth - 1))
         entries.append(child_bits.sum(axis=1))
         node_states.append(states[i, j, k].astype(np.int64))
         num_nodes += int(np.count_nonzero(sibling_states != UNKNOWN))
@@ -122,7 +123,9 @@ def encode_octomap(grid: VoxelGrid, kind: str, *, free: bool = False) -> bytes:
             node_index, child_index = np.nonzero(
                 (sibling_states != UNKNOWN) & (sibling_states < MIXED_WITHOUT_OCCUPIED)
             )
-            leaf_keys = parent_keys[node_index] | (child_index << 3 * level + 5) | depth
+            # a child's number is three bits of the Morton code of its corner
+            child_bits_of_key = child_index << (3 * level + 5)
+            leaf_keys = parent_keys[node_index] | child_bits_of_key | depth
             sort_keys.append(leaf_keys)
             entries.append(np.zeros_like(leaf_keys))
             node_states.append(sibling_states[node_index, child_index].astype(np.int64))
@@ -247,7 +250,9 @@ def read_octomap(
     elif len(leaves):
         lowest_keys = leaves[:, :3].astype(np.int64)
         first_keys = lowest_keys.min(axis=0)
-        shape = tuple(((lowest_keys + (1 << leaves[:, 3:4])).max(axis=0) - first_keys).tolist())
+        leaf_edges = 1 << leaves[:, 3:4]  # [voxels]
+        end_keys = (lowest_keys + leaf_edges).max(axis=0)
+        shape = tuple((end_keys - first_keys).tolist())
     else:
         first_keys = np.full(3, CENTER_KEY)
         shape = (1, 1, 1)

@@ -388,8 +388,10 @@ def read_binvox(
     if not edge > 0:
         message = f"expected a negative `translate` in AirSim's layout in {name}"
         raise FormatError(message, path=name, key="translate", value=header.translate)
-    # the middle of the first voxel, from the grid's position
-    first_middle = np.array([0 - nx // 2, ny // 2 - (ny - 1), 0 - nz // 2]) * edge
+    # The middle of the first voxel, from the grid's position, which is the middle of voxel n // 2
+    # of n. AirSim counts the voxels along y from the other side.
+    first_index = np.array([-(nx // 2), ny // 2 - (ny - 1), -(nz // 2)])
+    first_middle = first_index * edge
     center = check_three_numbers(position, "the position to be x, y, z [m]")
     is_edge_uncertain = voxel_edge is None and edges_along_axes.max() > edge * (
         1 + AIRSIM_TOLERANCE

@@ -348,18 +348,19 @@ def _find_layers(grid: NavGrid, arguments: BlockArguments) -> list[Layers]:
         shape = _check_box(grid, box, level)
     margins = compute_margins(grid, arguments["margin"])
     max_step = step_limit(grid) * grid.unit
+    empty_layers = [np.empty(0, dtype=np.int64)] * NUM_LAYERS
     layers_by_level = []
     for level_number, level_grid in enumerate(grid.levels):
         if level is not None and level != level_number:
-            layers_by_level.append([np.empty(0, dtype=np.int64)] * NUM_LAYERS)
+            layers_by_level.append(empty_layers)
             continue
         cell_size = level_grid.lattice.cell_size
         search_distance = shape.radius + max(margins.anywhere, cell_size)
         window = level_grid.lattice.window(
             np.array([shape.lower_corner, shape.upper_corner]), search_distance
         )
-        if window is None:
-            layers_by_level.append([np.empty(0, dtype=np.int64)] * NUM_LAYERS)
+        if window is None:  # the obstacle is beside the level
+            layers_by_level.append(empty_layers)
             continue
         rows, cols = window
         x = level_grid.lattice.center_x()[cols]
@@ -369,17 +370,16 @@ def _find_layers(grid: NavGrid, arguments: BlockArguments) -> list[Layers]:
         is_at_height = (shape.bottom < floor + grid.agent_height) & (shape.top > floor + max_step)
         distance_to_square = shape.distance(x, y, cell_size / 2)
         distance_to_center = shape.distance(x, y, 0.0)
-        # A disc blocks no square that it only touches. A box does, so that a flat box blocks cells.
-        is_touched = (
-            distance_to_square < shape.radius if shape.radius > 0 else distance_to_square <= 0
-        )
-        is_overlapped = is_at_height & is_touched
-        layer_masks = [is_overlapped | (is_at_height & (distance_to_center < shape.radius))]
-        for margin_distance in margins:
-            layer_masks.append(
-                is_overlapped
-                | (is_at_height & (distance_to_center < shape.radius + margin_distance))
-            )
+        # A disc blocks no square that it only touches. A box, whose radius is 0, does, so that a
+        # flat box blocks cells.
+        if shape.radius > 0:
+            is_touched = distance_to_square < shape.radius
+        else:
+            is_touched = distance_to_square <= 0
+        layer_masks = []
+        for margin_distance in (0.0, *margins):
+            is_within = is_touched | (distance_to_center < shape.radius + margin_distance)
+            layer_masks.append(is_at_height & is_within)
         row_start_ids = np.arange(rows.start, rows.stop)[:, None] * level_grid.width
         cell_ids: Int = row_start_ids + np.arange(cols.start, cols.stop)
         layers_by_level.append([cell_ids[mask] for mask in layer_masks])

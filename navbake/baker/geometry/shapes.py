@@ -688,15 +688,9 @@ def tessellate(kind: str, size: Sequence[float]) -> Mesh:
         next_upper_vertex = next_lower_vertex + NUM_SIDES
         faces.append(np.column_stack([lower_vertex, next_lower_vertex, next_upper_vertex]))
         faces.append(np.column_stack([lower_vertex, next_upper_vertex, upper_vertex]))
-    faces.append(
-        np.column_stack(
-            [
-                first_vertex_of_last_ring + side_index,
-                first_vertex_of_last_ring + next_side_index,
-                top_vertex,
-            ]
-        )
-    )
+    last_ring_vertex = first_vertex_of_last_ring + side_index
+    next_last_ring_vertex = first_vertex_of_last_ring + next_side_index
+    faces.append(np.column_stack([last_ring_vertex, next_last_ring_vertex, top_vertex]))
     if kind == "ellipsoid":
         vertices = vertices / radius * np.asarray(size)
     return Mesh(vertices, np.concatenate(faces).astype(np.int32))
