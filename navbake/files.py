@@ -59,9 +59,9 @@ def write_whole(data: bytes | Iterable[bytes], path: str | PathLike[str]) -> Non
 def write_together(contents: Mapping[Path, bytes | Iterable[bytes]]) -> None:
     """Write several files whole: all of them or, as far as the system allows, none.
 
-    All files are written before the first one is renamed. If two or more existing files change,
-    these are first put aside, the last one first: a process that is killed in between leaves some
-    of the files missing, but never one that is new beside one that is old.
+    All files are written under other names before the first one is renamed. If two or more existing
+    files change, the old ones are put aside before that, the last one first. So a process that is
+    killed in between leaves some of the files missing, but never a new file beside an old one.
 
     Args:
         contents: Path -> the content of the file, or its pieces in order. Files are renamed in the

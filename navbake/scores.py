@@ -6,10 +6,10 @@ that module is given as `xp`; they have no branches on values.
 
 Distances [m] are those of `PathFinder` over cells, from the cell of a position to the nearest place
 of the goal. If no agent can stand in that cell, the distance from the nearest free cell counts,
-plus the distance to that cell. Positions count on the floors that they are over, and lengths are
-seen from above, as those distances are. Those of flights are `VoxelFinder`'s over voxels. Success
-and SPL use the same distances. An object that has to be reached (task ``reach``) also has to be
-faced, so there each position needs a heading.
+plus the distance to that cell. A position counts as on the floor that it is over, and lengths are
+measured on the map, as these distances are. For flights, the distances are those of `VoxelFinder`
+over voxels. Success and SPL use the same distances. An object that has to be reached (task
+``reach``) also has to be faced, so there each position needs a heading.
 """
 
 from __future__ import annotations

@@ -329,9 +329,9 @@ def find_differing_pairs(values: NDArray[Any], distance: int) -> Iterator[tuple[
         distance: the distance between both cells of a pair [columns or rows].
 
     Yields:
-        First for the pairs in the same row, then for those in the same column: the ids
-        (``row * width + col``) of the left or upper cells, shape (n,), and the number to add to an
-        id to get the id of the pair's other cell.
+        For the pairs in the same row: the ids (``row * width + col``) of their left cells, shape
+        (n,), and what to add to an id for the id of the right cell. Then the same for the pairs in
+        the same column, with their upper and lower cells.
     """
     width = values.shape[1]
     is_right_different = values[:, :-distance] != values[:, distance:]

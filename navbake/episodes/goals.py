@@ -141,9 +141,9 @@ def find_goal_cells(finder: PathFinder, goal: Goal) -> Int:
     """Return the free cells where a goal is reached.
 
     For a room, these are its free cells. With a stance, they are those from which the goal's object
-    is in reach. Otherwise, each view point of the goal (or the goal's
-    position, if it has none) contributes its nearest free cell, if there is one within 0.5 m or the
-    goal's radius, whichever is larger.
+    is in reach. Otherwise, they are the free cells nearest to the goal's view points, or to its
+    position if it has none. A cell counts only within 0.5 m, or within the goal's radius if that is
+    larger.
 
     Args:
         finder: the path finder of the grid.

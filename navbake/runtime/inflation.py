@@ -101,9 +101,9 @@ class InflationWarning(UserWarning):
     """A warning that an agent's radius isn't the one that a grid's inflation suggests.
 
     `SceneGrid2D.inflate` and `MultiLevelGrid.inflate` issue it where a grid stays inflated for a
-    larger radius than the wanted one: a map, or a grid that was inflated, doesn't get narrower
-    obstacles. `PathFinder.use` issues it where a grid that isn't inflated replaces one that was
-    inflated for a larger radius than that of the new grid.
+    larger radius than the wanted one: obstacles that an inflation or a map has made wider can't be
+    made narrower again. `PathFinder.use` issues it where a grid that isn't inflated replaces one
+    that was inflated for a larger radius than that of the new grid.
 
     ``warnings.simplefilter("error", navbake.InflationWarning)`` turns it into an error,
     ``"ignore"`` silences it.

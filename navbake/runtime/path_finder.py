@@ -131,8 +131,8 @@ class PathFinder:
         """Switch to another grid, for example after `Baker.update`.
 
         A finder with an agent inflates the new grid for it. A finder without one takes the grid as
-        it is. If that isn't inflated, but the grid before was, for a larger radius than that of the
-        new grid, a `navbake.InflationWarning` says so.
+        it is. A `navbake.InflationWarning` says so if the new grid isn't inflated, and the grid
+        before was inflated for a larger radius than the new grid's.
 
         Args:
             grid: a grid of one or several levels, or its file.
@@ -884,13 +884,14 @@ class PathFinder:
 
         The base's axis stands on the middle of a cell that is free for the finder's agent. A grid
         knows an object by the cells over whose squares it stands, and by its upright box. Distances
-        are measured to the part of these squares that the box covers: a base is in reach if none of
-        them is nearer than the least distance, and all of one within the greatest. So the object's
-        nearest point is within reach, whatever its shape. The distance to a point is exact.
+        are measured to the part of these squares that the box covers. A base is in reach if no
+        square is nearer than the least distance, and one square lies wholly within the greatest. So
+        the object's nearest point is within reach, whatever its shape. The distance to a point is
+        exact.
 
         Sight runs from the eye, over the base's axis, to the middle of a cell of the target. Things
-        hide it with their boxes: one sees a cup over the edge of its table, and nothing in a closed
-        cupboard or far back on a shelf, but for things whose cells reach to the front. In the
+        hide it with their boxes. So a cup is seen over the edge of its table; what is in a closed
+        cupboard or far back on a shelf is not, unless its cells reach to the front. In the
         target's own cells, only walls and doors hide it. A grid without boxes, as older bakes and
         other programs write it, takes all that is in the agent's way as endlessly high.
 
@@ -912,9 +913,9 @@ class PathFinder:
                 height over the floor [m], or False.
             spread: least distance between two poses of a target [m]; 0 for any.
             seed: seed of first poses and of random headings; equal seeds give equal poses.
-            start: where the robot is, world x, y, z [m], free: poses are where a path leads from
-                it, those with the shortest path first. None for poses anywhere, each as far as can
-                be from those before.
+            start: where the robot is, world x, y, z [m]; an agent must be able to stand there. Only
+                poses to which a path leads from it are returned, those with the shortest path
+                first. None for poses anywhere, each as far as can be from those before.
 
         Returns:
             The poses, sorted by target: ``positions``, ``headings``, ``distances``,

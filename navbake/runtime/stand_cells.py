@@ -1,18 +1,23 @@
 """Finds the cells where a robot's base can stand to reach a thing.
 
-A grid knows an object by the cells over whose squares it stands, and by its upright box. The object
-lies within these squares where the box covers them: a square below is that part of a cell's square.
-It is nowhere nearer to a base than the nearest square, and part of it is in each square, so not
-beyond the square's farthest corner. A base is in reach if both distances are. A point is a square
-without an extent.
+A grid knows an object by the cells over whose squares it stands, and by its upright box. In this
+module, a *square* of the object is the part of such a cell's square that the box covers; a point is
+a square without an extent. The object lies within its squares, and a part of it is in each of them.
+So it is nowhere nearer to a base than its nearest square, and some of it is nearer than the
+farthest corner of any square. A base is in reach if the nearest square is not nearer than the least
+distance, and one square lies wholly within the greatest.
 
-Sight runs from the eye, over the middle of the base's cell, to the middle of a cell of the target,
-at the height of the target that is nearest to the eye's. A thing hides the target where the line
-runs over one of its cells and between the lower and the upper end of its box. What is in the
-agent's way and of which the grid has no box is endlessly high. In its own cells, nothing hides the
-target, but cells that have a wall or a door, too, count as its own only if all of them do. In the
-cells beside them, what shares its own cells doesn't hide it: what it stands on or in. The base
-faces the nearest square that is in reach and in sight.
+Sight is a line from the eye, over the middle of the base's cell, to the middle of a cell of the
+target. It ends at the height of the target that is nearest to the eye's. A thing hides the target
+if the line runs over one of the thing's cells, between the lower and the upper end of its box. What
+is in the agent's way is endlessly high if the grid has no box of it. There are two exceptions:
+
+- In the target's own cells, nothing hides it. Cells that also have a wall or a door are not its
+  own, unless it has no others.
+- In the cells beside these, things that share a cell with the target don't hide it. It stands on
+  them or in them.
+
+The base faces the nearest square that is in reach and in sight.
 """
 
 from __future__ import annotations

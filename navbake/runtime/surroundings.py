@@ -7,11 +7,16 @@ The agent is a disc whose centre is on a cell's centre. The rules:
   replaces the baked one, and a cell that only the baked disc blocked may become free.
 - Higher floors: no floor in the disc may be more than a step above the agent's floor. So a ledge
   blocks the agents below it. The next-but-one tread of a stair blocks an agent whose disc overlaps
-  it. Another level's floor blocks only if it is less than the agent's height and a slab's thickness
-  above the agent's floor. So does a floor of the agent's own level, for a step more, where another
-  level has a floor under it within a step of the agent's: a stair is not closed by the next flight
-  over it. Files without ``solid`` have an occupancy that already includes this for the baked
-  radius; there, the rule applies to larger radii only.
+  it. Two kinds of floors may be so high over the agent that they don't block:
+
+  - a floor of another level, if it is above the agent's floor by the agent's height and a slab's
+    thickness or more;
+  - a floor of the agent's own level, if it is higher by a step more than that, and another level
+    has a floor under it within a step of the agent's. So the next flight of a stair doesn't close
+    the flight below.
+
+  Files without ``solid`` have an occupancy that already includes this for the baked radius; there,
+  the rule applies to larger radii only.
 - Lower floors: no floor in the disc may be more than a step below the agent's floor, unless
   `ledges` is ``ignore``. Where several levels have a floor in a cell, the highest one that isn't
   more than a step above the agent's floor decides. So for an agent on a gallery, the room under it
@@ -102,9 +107,9 @@ def find_blocked(
         radius: the agent's radius [m], >= 0.
         ledges: ``avoid`` or ``ignore``, see `navbake.runtime.inflation.inflate`.
         counts_own_occupied: whether the level's own occupied cells block, as the rules say. If
-            False, only the area beyond the level's own cells, other levels, drops and holes block,
-            and all cells of other levels count as occupied: an upper bound, whatever stands on
-            those levels.
+            False, they don't; all other rules hold, and all cells of other levels count as
+            occupied. So the cells that are marked are an upper bound, whatever stands on those
+            levels.
 
     Returns:
         bool, shape (height, width) of the level.

@@ -1,9 +1,10 @@
 """Distances from the occupied voxels of a grid, and their gradients: a Euclidean distance field.
 
 A distance is measured from the centre of a voxel to the nearest point of the nearest occupied
-voxel, which is a cube. So an empty voxel beside an occupied one has half an edge, not a whole one
-as between centres, and no distance is longer than the one to the geometry in the cubes: a ball
-whose radius is at most the distance meets no occupied voxel.
+voxel, which is a cube. So the distance of an empty voxel beside an occupied one is half an edge;
+between their centres it would be a whole one. No distance is longer than that to the geometry
+itself, which lies in the cubes: a ball whose radius is at most the distance meets no occupied
+voxel.
 """
 
 from __future__ import annotations

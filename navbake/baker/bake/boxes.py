@@ -216,8 +216,8 @@ def _are_adjacent(first_window: Window, second_window: Window) -> bool:
 def _last_floor(floors: Float, heights_above: Float) -> float:
     """Return the height of the highest floor that a level's box should contain; -inf for none [m].
 
-    It is chosen so that the box contains as many floors of its own level as possible, less the
-    floors of higher levels that it contains, too.
+    It is chosen so that the client finds the right level for as many cells as possible: the most
+    floors of the level itself are in its box, less the floors of higher levels that are in it, too.
 
     Args:
         floors: heights of the level's free cells, shape (n,) [m].

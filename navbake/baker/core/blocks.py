@@ -173,10 +173,11 @@ def join_arrays(chunks: list[list[NDArray[Any]]]) -> list[NDArray[Any]]:
 class RowsBuilder:
     """Collects rows of numbers that a stage lists for one part of a lattice after the other.
 
-    A row of numbers is spread over several arrays: it has an entry in each of them. So that most
-    rows are copied only a few times, there is room for the rows that the remaining cells will have,
-    if they have as many as the cells before them; but at most for `MAX_GROWTH` times as many rows
-    as there are. Memory that no row is written into takes none.
+    A row of numbers is spread over several arrays: it has an entry in each of them. Where the
+    arrays are full, larger ones take their place. These have room for the rows of all cells, as
+    estimated from the cells so far, but for at most `MAX_GROWTH` times as many rows as there are.
+    So most rows are copied only a few times. Room that stays empty takes no memory: the system
+    provides it when it is written.
 
     Attributes:
         num_rows: how many rows have been appended.

@@ -241,9 +241,8 @@ def _find_rooms_beside(
 
     The room of a line is the last room that it meets before a wall or another closed leaf; the room
     of a side is that of most of its lines. If both sides have the same room, lines continue behind
-    other leaves, up to a wall. If both sides still have the same room (the doorway may belong to
-    it, for example), the last cell of a line counts, even if it is in no room: then that side is
-    the outside.
+    other leaves, up to a wall. If both sides still have the same room, as where the doorway belongs
+    to it, only the last cell of each line counts. If that is in no room, the side is the outside.
 
     Args:
         leaf: the leaf.
@@ -437,8 +436,8 @@ def warn_doors(
 ) -> list[str]:
     """Return the warnings about doors.
 
-    They name doors that close their doorway even when open, doors that should be open but have no
-    joint, and doors with a top that an agent could walk on.
+    They name doors whose open state still blocks their doorway, doors that should be open but have
+    no joint, and doors with a top that an agent could walk on.
 
     Args:
         doors: the doors.

@@ -308,10 +308,10 @@ def _find_stairs(
     """Find which of the surfaces to assign belong to stairs and ramps.
 
     A plateau is a set of connected surfaces at one height: a tread, a landing, a piece of a ramp,
-    or a floor between thresholds. It belongs to a stair if one path that only goes up and one that
-    only goes down lead from it to floors more than four times as large as its own floor. All
-    surfaces of its region within half a step of its height count as its own floor, since walls and
-    thresholds divide a floor into several plateaus.
+    or a floor between thresholds. It belongs to a stair if large floors are both above and below
+    it: a path that only goes up leads from it to a floor more than four times as large as its own,
+    and so does a path that only goes down. All surfaces of its region within half a step of its
+    height count as its own floor, since walls and thresholds divide a floor into several plateaus.
 
     Args:
         regions: all regions.
@@ -587,10 +587,12 @@ def _assign_surfaces(
 def _move_grounds_down(assignment_input: AssignmentInput, grounds: list[float]) -> SurfaceLevels:
     """Lower each ground to include connected floor just below it, then assign surfaces to levels.
 
-    A floor just below a ground is first assigned to the level below. The ground is lowered to the
-    lowest surface of a connected part of that level if the whole part lies at most a step below the
-    ground, does not consist of stairs alone, and is linked by steps to the ground's level and to no
-    other part or level.
+    A floor just below a ground is first assigned to the level below. There, it is a connected part
+    of that level. The ground is lowered to the lowest surface of such a part if all of these hold:
+
+    - The whole part lies at most a step below the ground.
+    - It does not consist of stairs alone.
+    - Steps link it to the ground's level, and to no other part or level.
 
     Args:
         assignment_input: the surfaces to assign.

@@ -167,11 +167,10 @@ def _find_tops(region_context: RegionContext, height_fields: Int32) -> Bool:
       - it has at most 6 m²;
       - it is nowhere wider than 3 m;
       - it drops to a floor larger than 0.9 of its own size;
-      - it drops to a floor that winds through it. More edges drop to this floor, from the rims of
-        the region's holes and from other regions, than the region's outer rim has.
+      - it drops to a floor that winds through it: more edges drop to this floor, from the rims of
+        the region's holes and from other regions, than there are edges in the region's outer rim.
 
-    - It is no raised ground: a part of a height field that drops to lower ground of the same height
-      field has nothing under it.
+    - It is no raised ground, see `_is_raised_ground`.
 
     Args:
         region_context: all regions with their edges.

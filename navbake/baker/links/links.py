@@ -310,9 +310,10 @@ def _make_drop_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
 def _make_jump_test(search: LinkSearch, rule: LinkSettings) -> LandingTest:
     """Make the function that tests where lines over a gap land as jumps.
 
-    A line lands beyond at least one cell, on the floor nearest in height to its start, if that is
-    free and differs by at most a step, or the rule's height if it has one. The line goes on as long
-    as no floor lies within a step of its start's height.
+    A line may land after at least one cell between. Of the floors there, it lands on the one
+    nearest in height to its start, if that is free and at most a step higher or lower; the rule's
+    height, if it has one, takes the place of the step. The line goes on as long as no floor lies
+    within a step of its start's height.
     """
     max_rise = LIMIT_SLACK + (rule.height or search.max_step)
 

@@ -363,8 +363,12 @@ class TrackedScene:
     ) -> bool:
         """Return whether different geoms may count, so that the scene has to be loaded again.
 
-        This is so if a user has changed the model; or if something moved that may be a lift's car,
-        a leaf that `scene.exclude.movable` keeps, or a mesh so large that its hull may hide room.
+        This is so if a user has changed the model's attributes that decide about it, or if one of
+        these moved:
+
+        - what may be a lift's car;
+        - what may be a leaf, which `scene.exclude.movable` would keep;
+        - a mesh so large that its hull may hide room.
         """
         if snapshot.geom_attributes != self._snapshot.geom_attributes:
             return True

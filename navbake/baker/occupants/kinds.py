@@ -102,9 +102,9 @@ class OccupantSizes(NamedTuple):
     Attributes:
         min_bottom_over_floor: the least height of the geom's bottom over the floor of a cell that
             it occupies [m]; inf where it occupies no cell, and for an endless plane.
-        max_top_over_bottom: how high the geom rises at most in a cell that it occupies: from its
-            bottom to its top, or from the cell's floor where that is higher than the bottom [m];
-            -inf where it occupies no cell, and for an endless plane.
+        max_top_over_bottom: the greatest height of the geom in a cell that it occupies: of its top
+            over its bottom, or over the cell's floor where that is higher [m]; -inf where it
+            occupies no cell, and for an endless plane.
         area: the area that the geom occupies on the level where that is largest [m²].
         area_at_wall_height: the same, counting only cells that it occupies within `WALL_HEIGHTS`
             [m²]; 0 for geoms whose shape is not that of walls, see `mark_wall_candidates`.
@@ -538,8 +538,8 @@ def _iterate_near_pairs(geoms: Int, neighbors: Int, extents: Extents) -> Iterato
 def _is_furniture_panel(scene: Scene, extents: Extents, geom: int, subtree_ends: Int) -> bool:
     """Return whether a geom is a panel of furniture, such as the side of a cupboard.
 
-    That is so if its body, or a body above that, is deeper than the geom, but not larger than
-    furniture is, see `MAX_FURNITURE_DEPTH`.
+    That is so if its body, or a body that this one belongs to, is deeper than the geom, but not
+    larger than furniture is, see `MAX_FURNITURE_DEPTH`.
     """
     model = scene.model
     for body in _bodies_above(model, geom):

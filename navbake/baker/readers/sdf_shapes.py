@@ -1,10 +1,10 @@
 """Geometry of SDF that MuJoCo has no shape for: height maps, extruded outlines and images.
 
-The area that outlines (``<polyline>``) enclose is cut into trapezoids at the y of all corners and
+The area that outlines (``<polyline>``) enclose is cut into trapezoids, at the y of corners and
 crossings, and each trapezoid becomes a convex prism. So holes, and outlines that cross themselves,
-need no rules of their own. A trapezoid continues past such a y as long as its two sides do, so
-there are about as many trapezoids as corners and crossings. What an odd number of outlines encloses
-is solid, as in Gazebo.
+need no rules of their own. A trapezoid is not cut at the y of a corner elsewhere: it goes on as
+long as its two sides do. So there are about as many trapezoids as corners and crossings. What an
+odd number of outlines encloses is solid, as in Gazebo.
 
 Sources: SDFormat specification 1.12, geometry.sdf; gazebosim/gz-common, MeshManager.cc
 (ExtrudePolyline: several outlines, the first one's height) and DelaunayTriangulation.cc (what an

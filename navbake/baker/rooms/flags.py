@@ -96,9 +96,9 @@ class LevelFlags(NamedTuple):
         is_open: whether the cell has a floor, and is in no wall or window.
         is_hole: whether the cell has no floor, and nothing is at the heights of an agent's body
             above the level's ground.
-        is_at_edge: whether the cell is open, nothing taller than 1.5 m stands on its floor, and the
-            cell is at the outer boundary of the scene: at the grid's edge, or next to cells that
-            are empty or too steep to stand on and are connected to the grid's edge.
+        is_at_edge: whether the cell is open, nothing taller than 1.5 m stands on its floor, and it
+            is at the outer boundary of the scene. That is the grid's edge, or the rim of an area
+            that is connected to the grid's edge, and that is empty or too steep to stand on.
         is_under_sky: whether the cell has a floor and nothing is above an agent's head. All False
             on levels with too few cells at the edge for anything to be outdoors.
         is_bank: whether the cell has no floor because its highest surface is ground that is too
@@ -122,9 +122,9 @@ class RoomFlags(NamedTuple):
     Attributes:
         lattice: the whole lattice.
         levels: the flags of each level, lowest first.
-        is_at_scene_end: a mask of the cells at the outer boundary of the scene, where the lattice
-            does not crop it: at a side of the lattice at which the scene ends, or next to cells
-            without any structure that are connected to such a side, shape (height, width).
+        is_at_scene_end: a mask of the cells where the scene ends, shape (height, width): those at
+            the sides of the lattice that don't crop the scene, and at the rim of areas without any
+            structure that are connected to such a side.
         wall_shapes: the geometry of walls, and of meshes that contain a whole building.
         has_ground: whether an endless ground continues beyond the lattice.
         steps: pairs of cells that a step to another level, or a slope, joins, see `Floors.steps`,

@@ -188,9 +188,10 @@ def _mark_gap_lines(
 ) -> tuple[list[Marks], Bool]:
     """Mark the cells of gaps: lines of open cells between walls, beside which the floor is wider.
 
-    The lines of doorways, beside which the floor is wider on both sides, are marked first. Then
-    they count as closed, so that other lines end at them: a line across a corridor does not go on
-    through a door, and a line that continues a wall ends at a wide opening beside it.
+    The lines of doorways, beside which the floor is wider on both sides, are marked first. From
+    then on their cells count as closed, so that other lines end there: a line across a corridor
+    does not go on through a door, and a line that continues a wall ends at a wide opening beside
+    it.
 
     Args:
         is_passable: cells that a gap may go across: open cells, and holes in the floor, shape

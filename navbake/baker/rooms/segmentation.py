@@ -82,8 +82,9 @@ def segment_by_gaps(
     - first, if the gap is about as wide as both spaces: parts of one corridor, or of an L-shaped
       room;
     - then, if the gap is about as wide as the narrower of both spaces (niches, bays, the depth of a
-      doorway), or wider than 2.5 m. But a long passage that opens into a wider space stays a room
-      of its own, at a mouth of up to 3.2 m. With a `door_width`, this width replaces both limits.
+      doorway), or wider than 2.5 m. But a long passage stays a room of its own where it opens into
+      a wider space, if this opening is at most 3.2 m wide. With a `door_width`, this width replaces
+      both limits.
 
     The width of a space is measured close behind the gap, parallel to it. Gaps in one line between
     the same two spaces count as one gap, so that a row of pillars separates nothing.

@@ -540,8 +540,9 @@ def both_scan_orders(array: NDArray[ScalarT]) -> tuple[NDArray[ScalarT], NDArray
 def _to_fortran_order(array: NDArray[ScalarT]) -> NDArray[ScalarT]:
     """Return an array in Fortran order, a view or a copy.
 
-    It is copied some rows at a time: whole rows of a large lattice take numpy three times as long,
-    as each entry is then in a part of memory that is no longer, or not yet, in the cache.
+    It is copied a few rows at a time. All rows of a large lattice at once take numpy three times as
+    long: neighbors in a row are then far from each other in the copy, so hardly any entry that is
+    written is in the cache.
     """
     if array.flags.f_contiguous:
         return array

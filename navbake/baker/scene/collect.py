@@ -485,9 +485,9 @@ def collect_shapes(
 def _is_ground_plane(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> bool:
     """Return whether a plane is endless ground: it stands, can collide, and faces up within 45°.
 
-    MuJoCo collides a plane as endless, whatever its size: the size is only drawn. A plane that
-    faces to the side or down is a wall or a ceiling, as large as it is drawn: as endless, it would
-    fill all that is behind it.
+    MuJoCo collides a plane as endless, whatever its size: the size is only drawn. But a plane that
+    faces to the side or down is taken for a wall or a ceiling as large as it is drawn. If it were
+    endless, it would fill all that is behind it.
     """
     body = model.geom_bodyid[geom]
     is_static = model.body_weldid[body] == 0 and model.body_mocapid[body] < 0
