@@ -38,6 +38,7 @@ from navbake.navgrid import links
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.rooms import has_building
 from navbake.runtime.agents import fit_grid
+from navbake.runtime.flat_grid import check_positive
 from navbake.runtime.path_finder import PathFinder
 from navbake.types import Bool, Float, Int
 
@@ -250,6 +251,9 @@ def make_episodes(
     for name, value, minimum in (("count", count, 1), ("seed", seed, 0)):
         if not isinstance(value, int | np.integer) or value < minimum:
             raise QueryError(f"expected a {name} >= {minimum}, got {value!r}")
+    speed_choice = agent_choice.get("speed")
+    if speed_choice is not None:
+        check_positive(speed_choice, "speed")
     scenes = [scene_of(grid) for grid in grid_list]
     if not grid_list or len(set(scenes)) < len(scenes):
         scenes_text = ", ".join(sorted(scenes)) or "none"
@@ -272,7 +276,7 @@ def make_episodes(
         file_name = files[index] if index < len(files) else None
         grid_entries.append(GridEntry(scene=scene, digest=digest_of(grid), file=file_name))
         height = grid.agent_height if agent.height is None else float(agent.height)
-        speed = agent.speed if agent_name else agent_choice.get("speed")
+        speed = agent.speed if agent_name else speed_choice
         sizes_and_speeds.add((grid.radius, height, speed))
     if len(sizes_and_speeds) > 1:
         agent_sizes = sorted({(radius, height) for radius, height, _ in sizes_and_speeds})

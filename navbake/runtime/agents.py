@@ -14,6 +14,7 @@ from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import renew_islands
 from navbake.navgrid.links import Agent
 from navbake.runtime.blocking import block
+from navbake.runtime.flat_grid import check_distance, check_positive
 from navbake.runtime.inflation import check_radius, ledges_setting
 
 SIZE_TOLERANCE = 1e-9  # [m]: sizes that differ by less are equal
@@ -41,6 +42,24 @@ def find_agent(grid: NavGrid, agent: str | Agent | None) -> Agent | None:
     return agents[agent]
 
 
+def check_agent(agent: Agent) -> None:
+    """Check the sizes and the speed of an agent that a user makes.
+
+    Args:
+        agent: the agent. Those of files were checked when these were read.
+
+    Raises:
+        QueryError: a size or the speed is no such number as `Agent` says.
+    """
+    if agent.radius is not None:
+        check_radius(agent.radius)
+    if agent.height is not None:
+        check_positive(agent.height, "height")
+    if agent.step is not None:
+        check_distance(agent.step, "step")
+    check_positive(agent.speed, "speed")
+
+
 def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
     """Make the grid for an agent's size: inflated to its radius, without steps too high for it.
 
@@ -57,10 +76,11 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
 
     Raises:
         QueryError: the agent is higher, takes higher steps, or is smaller than the grid was
-            inflated for.
+            inflated for, or a number of it is none that an agent can have.
     """
     if agent is None:
         return grid
+    check_agent(agent)
     grid_name = f"the grid of {grid.scene_id or 'scene'!r}"
     agent_name = f" (agent {agent.name!r})" if agent.name else ""
     for noun, key, size, limit in (
@@ -82,7 +102,6 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
     if agent.step is not None and agent.step < grid.max_step - SIZE_TOLERANCE:
         fitted_grid = _limit_steps(grid_without_added, agent.step)
     if radius is not None and not math.isclose(radius, grid.radius, abs_tol=SIZE_TOLERANCE):
-        check_radius(radius)
         if radius < grid.inflated_radius:
             hint = "plan on the grid as it was baked"
             raise QueryError(

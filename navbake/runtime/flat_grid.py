@@ -373,6 +373,24 @@ def check_distance(distance: float, name: str = "max_distance") -> None:
         )
 
 
+def check_positive(number: float, name: str) -> None:
+    """Check that a number that a user passes is finite and > 0.
+
+    Args:
+        number: expected to be a finite number > 0.
+        name: the argument's name in the error.
+
+    Raises:
+        QueryError: the number is anything else.
+    """
+    is_number = isinstance(number, RealNumber) and not isinstance(number, bool)
+    if not is_number or not 0 < number < math.inf:
+        expected = f"a {name} > 0"
+        raise QueryError(
+            f"expected {expected}, got {number!r}", key=name, value=number, expected=expected
+        )
+
+
 def to_kernel_positions(positions: Float, level: int | None) -> tuple[int, Float]:
     """Convert checked positions to arguments of kernels.
 

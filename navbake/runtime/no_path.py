@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import combinations, permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -426,13 +427,20 @@ def _explain_link(search: Search, route: Route, route_index: int, name: str) -> 
         name: the link's name.
     """
     link = next(link for link in search.grid.links if link.name == name)
-    reason = link.refuses(search.agent)
-    if reason is None and not link.fits(search.radius):
+    first_cells = search.flat.layout.start
+    stop_cells = [int(first_cells[stop.level]) + stop.cell for stop in link.stops]
+    list_pairs = combinations if link.one_way else permutations
+    ways = list(list_pairs(stop_cells, 2))
+    from_cell, to_cell = route.cells[route_index - 1 : route_index + 1].tolist()
+    reason = None
+    # told first: a link that is opened leads no other way than before
+    if (from_cell, to_cell) not in ways:
+        reason = "leads the other way only"
+    elif link.refuses(search.agent) is not None:
+        reason = link.refuses(search.agent)
+    elif not link.fits(search.radius):
         agent_width = f"the agent's {2.0 * search.radius:g} m"
         reason = f"is {link.width:g} m wide, narrower than {agent_width}"
-    link_ends = route.cells[route_index - 1 : route_index + 1]
-    if reason is None and not (search.flat.arcs.ends == link_ends).all(axis=1).any():
-        reason = "leads the other way only"
     return f"the link {link.name!r} ({link.kind}) {reason}" if reason else None
 
 

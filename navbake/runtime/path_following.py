@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
-from navbake.runtime.flat_grid import RealNumber
+from navbake.runtime.flat_grid import RealNumber, check_positive
 from navbake.runtime.paths import Path, distances_of_points, find_path
 from navbake.runtime.places import snap_to_cells
 from navbake.runtime.search import Search
@@ -57,14 +57,7 @@ class DriveLimits:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            is_number = isinstance(value, RealNumber) and not isinstance(value, bool)
-            if not is_number or not 0 < value < math.inf:
-                raise QueryError(
-                    f"expected a {name} > 0, got {value!r}",
-                    key=name,
-                    value=value,
-                    expected=f"a {name} > 0",
-                )
+            check_positive(value, name)
 
 
 @dataclass(frozen=True, eq=False)

@@ -129,7 +129,5 @@ def _check_reason(finder, graph, find_open_graph, ends, name, counts):
     expected = what_bars(entry, name, radius)
     stops = np.array([flat.layout.start[level] + cell for level, cell in entry["stops"]])
     ok = reached[stops].any() and to_goal[stops].any()
-    ok &= why == expected or (
-        expected is None and entry["one_way"] and why == "leads the other way only"
-    )
+    ok &= why == expected or (entry["one_way"] and why == "leads the other way only")
     return [] if ok else [f"{what}: {reason}"]

@@ -84,6 +84,36 @@ def test_the_reason_names_the_link(given, agent, reason):
     assert finder.why_not(*ends).endswith(reason)
 
 
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [({"agents": ["robot"]}, "bars 'person'"), ({"state": "closed"}, "is closed")],
+)
+def test_a_link_that_leads_the_other_way_is_not_said_to_bar(given, reason):
+    """Nobody gets up over a drop, whoever may use it."""
+    person = PathFinder(tower({**DROP, **given}), agent="person")
+    up = person.why_not(at(0, 14), at(1, 2))
+    assert up.endswith("the link 'dock' (drop) leads the other way only")
+    assert person.why_not(at(1, 2), at(0, 14)).endswith(f"the link 'dock' (drop) {reason}")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "message"),
+    [
+        ({"speed": 0.0}, "expected a speed > 0, got 0.0"),
+        ({"speed": -2}, "expected a speed > 0, got -2"),
+        ({"speed": math.nan}, "expected a speed > 0, got nan"),
+        ({"step": -0.1}, "expected a step >= 0 m, got -0.1"),
+        ({"step": math.nan}, "expected a step >= 0 m, got nan"),
+        ({"height": 0}, "expected a height > 0, got 0"),
+        ({"height": math.nan}, "expected a height > 0, got nan"),
+        ({"radius": "0.2"}, "expected 0 to 10,000 m as radius, got '0.2'"),
+    ],
+)
+def test_agents_that_cannot_be_are_refused(numbers, message):
+    with pytest.raises(QueryError, match=re.escape(message)):
+        PathFinder(tower(storeys=1), agent=Agent("odd", **numbers))
+
+
 def test_states_are_switched_without_a_bake():
     grid = tower(LIFT, DROP, storeys=3)
     closed = PathFinder(grid.with_links({"A": "closed"}))
