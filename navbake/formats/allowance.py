@@ -204,6 +204,31 @@ def check_object(value: object, place: JsonPath) -> Json:
     return value
 
 
+def check_depth(value: JsonValue, place: JsonPath) -> JsonValue:
+    """Check that a value that was parsed from JSON isn't nested too deep, and return it.
+
+    A parser of JSON makes nothing that JSON lacks, so the rest of what `check_json` checks holds.
+
+    Args:
+        value: the parsed value.
+        place: its location, for errors.
+
+    Raises:
+        FormatError: the value holds more than 64 lists and objects in each other.
+    """
+
+    def check_children(container: Json | list[JsonValue], num_containers: int) -> None:
+        if num_containers > MAX_DEPTH:
+            place.fail(f"nested deeper than {MAX_DEPTH} levels")
+        for child in container.values() if isinstance(container, dict) else container:
+            if type(child) is list or type(child) is dict:
+                check_children(child, num_containers + 1)
+
+    if isinstance(value, dict | list):
+        check_children(value, 1)
+    return value
+
+
 def check_optional_object(content: Json, key: str, place: JsonPath) -> Json:
     """Return the object in a field of a JSON object; {} if the field is missing or null.
 
@@ -238,7 +263,7 @@ def check_json(value: JsonValue, place: JsonPath) -> JsonValue:
             in each other.
     """
     values_at_depth = [value]
-    for _ in range(MAX_DEPTH):
+    for _ in range(MAX_DEPTH + 1):
         value_types = set(map(type, values_at_depth))
         if value_types <= LEAF_TYPES:
             return value
@@ -251,6 +276,8 @@ def check_json(value: JsonValue, place: JsonPath) -> JsonValue:
             value_type for value_type in value_types if issubclass(value_type, dict | list | tuple)
         }
         containers = [entry for entry in values_at_depth if type(entry) in container_types]
+        if not containers:
+            return value
         objects = [entry for entry in containers if isinstance(entry, dict)]
         if not set(map(type, chain.from_iterable(objects))) <= {str}:
             place.fail("expected strings as keys of objects, got others")

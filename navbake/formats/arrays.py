@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import struct
 from contextlib import suppress
-from typing import Any
+from typing import Any, NoReturn
 
 import msgspec
 import numpy as np
@@ -87,75 +87,101 @@ def decode_array(
             data_place.fail(
                 f"expected pairs of value and count, got an odd number ({len(data)}) of entries"
             )
-        numbers = _to_float64(data, data_place, (f"a value of {dtype}", EXPECTED_COUNT))
-        run_lengths = _check_counts(numbers[1::2], data, data_place, num_cells)
-        run_values = _cast_values(numbers[0::2], data, data_place, dtype, null_value)
+        try:
+            # counts are whole numbers, also where the values are not, or are null
+            values = _to_array(data[0::2])
+            counts = _to_array(data[1::2])
+        except msgspec.ValidationError:
+            _refuse_first_invalid(data, data_place, (f"a value of {dtype}", EXPECTED_COUNT))
+        run_lengths = _check_counts(counts, data, data_place, num_cells)
+        run_values = _cast_values(values, data, data_place, dtype, null_value)
         return np.repeat(run_values, run_lengths).reshape(shape)
     if len(data) != num_cells:
         data_place.fail(f"expected {num_cells} values, one a cell, got {len(data)}")
-    numbers = _to_float64(data, data_place, (f"a value of {dtype}",))
-    return _cast_values(numbers, data, data_place, dtype, null_value).reshape(shape)
+    try:
+        values = _to_array(data)
+    except msgspec.ValidationError:
+        _refuse_first_invalid(data, data_place, (f"a value of {dtype}",))
+    return _cast_values(values, data, data_place, dtype, null_value).reshape(shape)
 
 
-def _to_float64(data: list[JsonValue], place: JsonPath, expected: tuple[str, ...]) -> Float:
+def _to_array(numbers: list[JsonValue]) -> Int | Float:
     """Convert a list of numbers and None to an array; None becomes NaN.
 
-    A FormatError is raised for the first entry that is neither, with what is expected in its
-    place: `expected` describes the entries in turn.
+    Returns:
+        int64 if all entries are whole numbers of 64 bits, else float64; it may be read-only.
+
+    Raises:
+        msgspec.ValidationError: an entry is neither a number nor None.
     """
     # msgspec checks types, and struct packs numbers, in half of the time that numpy takes for a
     # list; most arrays hold whole numbers alone, for which that is fastest
     with suppress(msgspec.ValidationError, struct.error):
-        whole_numbers = msgspec.convert(data, tuple[int, ...])
-        packed_numbers = struct.pack(f"{len(data)}q", *whole_numbers)
-        return np.frombuffer(packed_numbers, np.int64).astype(np.float64)
-    floats = [math.nan if entry is None else entry for entry in data]
-    try:
-        numbers = msgspec.convert(floats, tuple[int | float, ...])
-    except msgspec.ValidationError:
-        number_types = (int, float, type(None))  # as a type of its own, bool is no int
-        index = next(index for index, entry in enumerate(data) if type(entry) not in number_types)
-        place[index].refuse(expected[index % len(expected)], data[index])
-    return np.frombuffer(bytearray(struct.pack(f"{len(data)}d", *numbers)), np.float64)
+        whole_numbers = msgspec.convert(numbers, tuple[int, ...])
+        return np.frombuffer(struct.pack(f"{len(numbers)}q", *whole_numbers), np.int64)
+    nan = math.nan
+    floats = msgspec.convert(
+        [nan if number is None else number for number in numbers], tuple[int | float, ...]
+    )
+    return np.frombuffer(struct.pack(f"{len(numbers)}d", *floats), np.float64)
+
+
+def _refuse_first_invalid(
+    data: list[JsonValue], place: JsonPath, expected: tuple[str, ...]
+) -> NoReturn:
+    """Raise a FormatError for the first entry of a list that is neither a number nor None.
+
+    Args:
+        data: the list, which has such an entry.
+        place: its location in the file.
+        expected: what the entries should be, in turn.
+    """
+    number_types = (int, float, type(None))  # as a type of its own, bool is no int
+    index = next(index for index, entry in enumerate(data) if type(entry) not in number_types)
+    place[index].refuse(expected[index % len(expected)], data[index])
 
 
 def _check_counts(
-    run_lengths: Float, data: list[JsonValue], place: JsonPath, num_cells: int
+    run_lengths: Int | Float, data: list[JsonValue], place: JsonPath, num_cells: int
 ) -> Int:
     """Return the lengths of runs after a check that they cover all cells exactly.
 
     The check comes before any array of that size is made.
     """
-    is_invalid = ~(run_lengths >= 0) | (run_lengths != np.floor(run_lengths))
+    is_invalid = ~(run_lengths >= 0)
+    if run_lengths.dtype.kind == "f":
+        is_invalid |= run_lengths != np.floor(run_lengths)
     if is_invalid.any():
         index = 2 * int(np.argmax(is_invalid)) + 1
         place[index].refuse(EXPECTED_COUNT, data[index])
-    if run_lengths.sum() != num_cells:
-        place.fail(f"expected runs over {num_cells} cells, got runs over {run_lengths.sum():.15g}")
-    return run_lengths.astype(np.int64)
+    num_covered = run_lengths.sum(dtype=np.float64)  # a sum of whole numbers could overflow
+    if num_covered != num_cells:
+        place.fail(f"expected runs over {num_cells} cells, got runs over {num_covered:.15g}")
+    return run_lengths.astype(np.int64, copy=False)
 
 
 def _cast_values(
-    values: Float,
+    values: Int | Float,
     data: list[JsonValue],
     place: JsonPath,
     dtype: np.dtype[Any],
     null_value: float,
 ) -> NDArray[Any]:
-    """Convert values to a dtype; NaN becomes the number `null_value`.
+    """Return a copy of values in a dtype; NaN becomes the number `null_value`.
 
     A FormatError is raised for the first value that the dtype can't hold. Values are all entries
     of `data`, or every second one.
     """
     if dtype.kind == "f":
+        values = values.astype(np.float64)
         # JSON has no infinity, so one comes from a number beyond the dtype
         with np.errstate(over="ignore"):
-            is_invalid = np.isinf(values.astype(dtype))
+            is_invalid = np.isinf(values.astype(dtype, copy=False))
     else:
         integer_range = np.iinfo(dtype)
-        is_invalid = ~((values >= integer_range.min) & (values <= integer_range.max)) | (
-            values != np.floor(values)
-        )
+        is_invalid = ~((values >= integer_range.min) & (values <= integer_range.max))
+        if values.dtype.kind == "f":
+            is_invalid |= values != np.floor(values)
     if is_invalid.any():
         index = len(data) // len(values) * int(np.argmax(is_invalid))
         place[index].refuse(f"a value of {dtype}", data[index])

@@ -30,6 +30,7 @@ from navbake.formats.allowance import (
     ABSENT,
     Allowance,
     JsonPath,
+    check_depth,
     check_json,
     check_number,
     check_object,
@@ -105,18 +106,22 @@ def read_navgrid(source: Source, *, max_cells: int | None = None) -> NavGrid:
     text, num_bytes, root_place = read_navgrid_text(source)
     # not while the file is read, which may be a slow stream
     with without_garbage_collection():
-        content = _parse_file(text, root_place)
-        allowance = Allowance(num_bytes, "max_cells", max_cells)
-        grid_type = content.get("type", ABSENT)
-        if grid_type == "MultiLevelGrid":
-            return warn_of_newer_version(
-                read_multi_level_grid(content, root_place, allowance), root_place
-            )
-        if grid_type != "SceneGrid2D":
-            root_place["type"].refuse("'SceneGrid2D' or 'MultiLevelGrid'", grid_type)
-        return warn_of_newer_version(
-            check_grid(read_level(content, root_place, allowance), root_place), root_place
-        )
+        grid = _decode_grid(text, root_place, Allowance(num_bytes, "max_cells", max_cells))
+    return warn_of_newer_version(grid, root_place)
+
+
+def _decode_grid(text: bytes, root_place: JsonPath, allowance: Allowance) -> NavGrid:
+    """Parse the text of a file, and make its grid.
+
+    What was parsed is gone when this returns: the collector, which is paused, would go through it.
+    """
+    content = _parse_file(text, root_place)
+    grid_type = content.get("type", ABSENT)
+    if grid_type == "MultiLevelGrid":
+        return read_multi_level_grid(content, root_place, allowance)
+    if grid_type != "SceneGrid2D":
+        root_place["type"].refuse("'SceneGrid2D' or 'MultiLevelGrid'", grid_type)
+    return check_grid(read_level(content, root_place, allowance), root_place)
 
 
 def _parse_file(content: bytes, root_place: JsonPath) -> Json:
@@ -185,7 +190,7 @@ def read_multi_level_grid(
         cell_size=float(defaults.get("cellSize", levels[0].cell_size)),
         unit=float(defaults.get("unit", 1)),
         metadata=metadata,
-        timings=check_optional_object(content, "timings", root_place),
+        timings=_read_object(content, "timings", root_place),
         extra=_find_unknown_fields(content, MULTI_LEVEL_GRID_FIELDS, root_place),
     )
     check_grid(grid, root_place, key)
@@ -281,7 +286,7 @@ def read_level(
         attributes=attributes,
         user_data=_read_user_data(content.get("userData"), place["userData"], width * height),
         metadata=metadata,
-        timings=check_optional_object(content, "timings", place),
+        timings=_read_object(content, "timings", place),
         extra=_find_unknown_fields(content, SCENE_GRID_FIELDS, place),
     )
 
@@ -296,7 +301,7 @@ def read_metadata(content: Json, place: JsonPath) -> Json:
     Raises:
         FormatError: the metadata are no object, or ``navbake`` or ``cellAttributes`` are broken.
     """
-    metadata = check_optional_object(content, "metadata", place)
+    metadata = _read_object(content, "metadata", place)
     if metadata.get("navbake") is not None:
         check_object(metadata["navbake"], place["metadata"]["navbake"])
     entries = metadata.get("cellAttributes")
@@ -310,10 +315,16 @@ def read_metadata(content: Json, place: JsonPath) -> Json:
     return metadata
 
 
+def _read_object(content: Json, key: str, place: JsonPath) -> Json:
+    """Return the object in a field of parsed JSON; {} if the field is missing or null."""
+    value = content.get(key)
+    return {} if value is None else check_object(check_depth(value, place[key]), place[key])
+
+
 def _find_unknown_fields(content: Json, format_fields: tuple[str, ...], place: JsonPath) -> Json:
     """Return the fields of a file that the format doesn't have; they are kept and written back."""
     return {
-        key: check_json(content[key], place[key]) for key in content if key not in format_fields
+        key: check_depth(content[key], place[key]) for key in content if key not in format_fields
     }
 
 
@@ -321,7 +332,7 @@ def _read_user_data(value: JsonValue, place: JsonPath, num_cells: int) -> UserDa
     """Make a level's user data: parsed ones are checked now, ones that are text on first use."""
 
     def check_entries(value: JsonValue) -> dict[int, Json]:
-        entries: Json = {} if value is None else check_object(check_json(value, place), place)
+        entries: Json = {} if value is None else check_object(check_depth(value, place), place)
         cell_ids = [int(key) if key.isdecimal() and len(key) <= 15 else -1 for key in entries]
         for key, cell_id in zip(entries, cell_ids, strict=True):
             if not 0 <= cell_id < num_cells or str(cell_id) != key:

@@ -54,7 +54,8 @@ Files: TypeAlias = dict[Path, bytes]
 """Path -> content of files to be written, in this order."""
 
 LOG = logging.getLogger("navbake")
-FIRST_BYTES = 1 << 20  # bytes that are read first, to check how a file begins
+FIRST_BYTES = 1 << 16  # bytes that are read first, to check how a file begins
+CHUNK_BYTES = 16 << 20  # bytes that are read or unpacked at once where the size is not known
 INCOMPLETE_HINT = "the file is incomplete: copy it again, or make it anew"
 BOM = b"\xef\xbb\xbf"  # byte order mark of UTF-8
 GZIP_MAGIC = b"\x1f\x8b"
@@ -114,7 +115,7 @@ def read_bytes(
     Args:
         source: a path, the file's content, or the file opened in binary mode.
         beginnings: the first bytes that the file must have, or a tuple of possible ones; b"" for
-            any. A file that begins differently is not read further than 1 MiB, as it may be a
+            any. A file that begins differently is not read further than 64 KiB, as it may be a
             device that never ends.
         expected: a description of the expected file, for errors.
         remedy: what to do about a wrong file, for errors.
@@ -163,7 +164,7 @@ def read_bytes(
                 return file.read(), name
             chunks = [content]
             num_bytes = max(file_size, len(content))
-            while num_bytes <= MAX_BYTES and (chunk := file.read(16 * FIRST_BYTES)):
+            while num_bytes <= MAX_BYTES and (chunk := file.read(CHUNK_BYTES)):
                 chunks.append(chunk)
                 num_bytes += len(chunk)
             if num_bytes > MAX_BYTES:
@@ -197,7 +198,7 @@ def unpack(content: bytes, name: str) -> bytes:
     chunks = []
     try:
         with open_packed(io.BytesIO(content)) as unpacked_file:
-            while chunk := unpacked_file.read(16 * FIRST_BYTES):
+            while chunk := unpacked_file.read(CHUNK_BYTES):
                 allowance.take_text(len(chunk), JsonPath(name))
                 chunks.append(chunk)
     except (EOFError, OSError, zlib.error) as error:

@@ -456,6 +456,12 @@ CULPRITS = {
     "count 1.5": (attribute([1, 4.5, 0, 1.5]), r"a count, .* got 4.5 at `.*data\[1\]`"),
     "count null": (attribute([1, None]), r"a count, .* got null at `.*data\[1\]`"),
     "count true": (attribute([1, 5, 0, True]), r"a count, .* got true at `.*data\[3\]`"),
+    "a count, then a value": (attribute([1, "5", "x", 1]), r"a count, .* got '5' at `.*data\[1\]`"),
+    "a value, then a count": (attribute([{}, 5, 1, "1"]), r"a value of uint8, .*data\[0\]`"),
+    "sums that overflow": (
+        attribute([1, 2**63 - 1, 0, 2**63 - 1, 1, 8]),
+        r"runs over 6 cells, got runs over 1.84467440737096e\+19 at",
+    ),
     "value true": (attribute([1, 5, True, 1]), r"a value of uint8, got true at `.*data\[2\]`"),
     "value a string": (attribute([1, 5, "x" * 999, 1]), r"uint8, got 'xxx.*… at `.*data\[2\]`"),
     "value a list": (attribute([[1], 6]), r"uint8, got a list of 1 at `.*data\[0\]`"),
@@ -833,6 +839,20 @@ def test_what_the_format_cannot_hold_is_not_written(name, tmp_path):
     assert re.search(culprit, str(caught.value)), str(caught.value)
     assert str(caught.value).isprintable()
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("leaf", ["[]", "[1]", "[0.5]", '{"a":null}'])
+def test_what_is_nested_too_deep_is_neither_read_nor_written(leaf):
+    deepest = json.loads('{"a":' * 63 + leaf + "}" * 63)
+    assert rewritten(make_grid(metadata=deepest)).metadata["a"] == deepest["a"]
+    assert read(small(extra=[deepest["a"]])).extra == {"extra": [deepest["a"]]}
+    too_deep = {"a": deepest}
+    for make in (
+        lambda: read(small(timings=too_deep)),
+        lambda: rewritten(make_grid(metadata=too_deep)),
+    ):
+        with pytest.raises(FormatError, match="nested deeper than 64 levels"):
+            make()
 
 
 def test_numpys_float64_is_a_number_in_metadata():
