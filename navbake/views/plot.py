@@ -262,6 +262,8 @@ def render_picture(
         "text.parse_math": False,  # no name is markup
         "font.family": font_families,
         "text.color": TEXT_COLOR,
+        "figure.autolayout": False,  # without a layout engine, these would choose one
+        "figure.constrained_layout.use": False,
     }
     with rc_context(matplotlib_settings), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font")
@@ -288,7 +290,8 @@ def render_picture(
         if titles:
             _fit_titles(figure, axes, panels)
             _lay_out(figure)
-        figure.set_layout_engine("none")
+        # with an engine of any kind, even "none", `savefig` would draw all once more beforehand
+        figure.set_layout_engine(None)
         key_entries = _write_all_names(axes, panels, missing_letters)
         facts_text = f"cells of {grid.levels[0].lattice.cell_size:g} m, axes in metres"
         legend_text = wrap_text(
