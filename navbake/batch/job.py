@@ -185,13 +185,13 @@ def _describe_scene(plan: Plan, config: BakeConfig, mirror: store.Mirror) -> Bat
         "version": __version__,
         "files": sorted(file_rows),
     }
+    suffix = scene_suffix(scene_name)
+    # equal scenes of other names and ids have the same content
     facts_without_names = {
         **scene_facts,
         "settings": {**settings, "scene": {**settings["scene"], "id": ""}},
         # parts of a mesh scene may be named after its file
-        "scene": scene_name
-        if scene_suffix(scene_name) in MESH_SUFFIXES
-        else scene_suffix(scene_name),
+        "scene": scene_name if suffix in MESH_SUFFIXES else suffix,
         "files": sorted(["" if path == scene_name else path, *state] for path, *state in file_rows),
     }
     return BatchScene(

@@ -641,4 +641,6 @@ def _last_line(error: BaseException) -> str:
     It is at most 200 characters long, and the error's type if there is no message.
     """
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return printable((lines or [type(error).__name__])[-1].partition(". ")[0][:200])
+    last_line = lines[-1] if lines else type(error).__name__
+    first_sentence, _, _ = last_line.partition(". ")
+    return printable(first_sentence[:200])

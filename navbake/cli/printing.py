@@ -155,16 +155,13 @@ def print_json(value: object, stream: TextIO | None = None) -> None:
         default=lambda numpy_array: numpy_array.tolist(),
     )
     # JSON escapes characters below a space, but not all control characters
-    print(
-        "".join(
-            character
-            if character.isprintable() or character == "\n"
-            else json.dumps(character)[1:-1]
-            for character in json_text
-        ),
-        file=stream,
-        flush=True,
+    printable_text = "".join(
+        character
+        if character.isprintable() or character == "\n"
+        else json.dumps(character)[1:-1]  # without the quotes
+        for character in json_text
     )
+    print(printable_text, file=stream, flush=True)
 
 
 def say(text: object = "") -> None:

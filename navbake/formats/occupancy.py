@@ -134,6 +134,7 @@ def level_from_values(
         ground: world z of the floor [m].
         metadata: the level's metadata.
     """
+    # nav2 publishes a cost from 1 to 252 as 1 + 97 (cost - 1) / 251, cut to a whole number
     cost_of_value: Float = 1 + np.ceil(251 * (np.arange(OCCUPIED + 1) - 1) / 97)
     cost_of_value[0] = 1
     is_blocked = (values < FREE) | (values >= INSCRIBED)

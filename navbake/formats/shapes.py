@@ -143,13 +143,16 @@ def find_shapes(grid: NavGrid, kinds: Collection[str] = KINDS) -> list[Shape]:
             num_cells_of_room = np.bincount(level.room_index.ravel())  # of each room
             for room_index, parts in trace_polygons(level.room_index, level.lattice).items():
                 room = rooms.get(room_index)
+                room_name = None
+                if room and room.name:
+                    room_name = room.name
                 shape = Shape(
                     kind=ROOM,
                     level=level_number,
                     level_name=level_name,
                     height=height,
                     id=room.id if room else f"{level_number}:{room_index}",
-                    name=(room.name or None) if room else None,
+                    name=room_name,
                     area=rounded(int(num_cells_of_room[room_index]) * cell_area),
                     parts=parts,
                     line=None,

@@ -121,12 +121,10 @@ def label_islands(
         joins_right = is_level_free[:, 1:] & is_level_free[:, :-1]
         joins_right &= ~(np.abs(level_floor[:, 1:] - level_floor[:, :-1]) > max_rise)
         level_begins_run[:, 1:] &= ~joins_right
-        joins_down = (
-            is_level_free[1:]
-            & is_level_free[:-1]
-            & ~(np.abs(level_floor[1:] - level_floor[:-1]) > max_rise)
-        )
-        # one pair of cells for each pair of runs
+        joins_down = is_level_free[1:] & is_level_free[:-1]
+        joins_down &= ~(np.abs(level_floor[1:] - level_floor[:-1]) > max_rise)
+        # one pair of cells for each pair of runs: where the pair to the left doesn't join, or where
+        # one of the runs begins
         joins_down[:, 1:] &= (
             ~joins_down[:, :-1] | level_begins_run[1:, 1:] | level_begins_run[:-1, 1:]
         )

@@ -300,12 +300,11 @@ def cover_cells(rings: Sequence[ArrayLike], lattice: Lattice) -> Bool:
             # always upwards, so that two polygons get the same crossings from a shared side
             lower_end, upper_end = (start, end) if start[1] <= end[1] else (end, start)
             # y descends: rows whose y is from that of the lower end to below that of the upper end
-            rows = slice(*(len(y) - np.searchsorted(y[::-1], [upper_end[1], lower_end[1]])))
-            slope = (
-                (upper_end[0] - lower_end[0]) / (upper_end[1] - lower_end[1])
-                if upper_end[1] > lower_end[1]
-                else 0.0
-            )
+            first_row, end_row = len(y) - np.searchsorted(y[::-1], [upper_end[1], lower_end[1]])
+            rows = slice(first_row, end_row)
+            slope = 0.0
+            if upper_end[1] > lower_end[1]:
+                slope = (upper_end[0] - lower_end[0]) / (upper_end[1] - lower_end[1])
             cols = np.searchsorted(x, lower_end[0] + (y[rows] - lower_end[1]) * slope)
             np.add.at(num_toggles, (np.arange(rows.start, rows.stop), cols), 1)
     is_inside: Bool = np.cumsum(num_toggles[:, :-1], axis=1) % 2 == 1

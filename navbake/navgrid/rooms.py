@@ -88,12 +88,13 @@ def has_building(rooms: Sequence[Room]) -> bool:
     They are if some level has a room that is outdoors, and other rooms of at least
     `MIN_BUILDING_AREA` together.
     """
-    yard_levels = {room.level for room in rooms if room.outdoors}
-    return any(
-        sum(room.area for room in rooms if room.level == level and not room.outdoors)
-        >= MIN_BUILDING_AREA
-        for level in yard_levels
-    )
+    for yard_level in {room.level for room in rooms if room.outdoors}:
+        indoor_areas = [
+            room.area for room in rooms if room.level == yard_level and not room.outdoors
+        ]
+        if sum(indoor_areas) >= MIN_BUILDING_AREA:
+            return True
+    return False
 
 
 def parse_rooms(entries: object, num_levels: int) -> tuple[Room, ...]:

@@ -469,8 +469,8 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
         floors=floors,
         free=np.isfinite(weight),
         weight=weight,
-        area_factor=area_factor[:1] if (area_factor == area_factor[0]).all() else area_factor,
-        pace=pace[:1] if (pace == pace[0]).all() else pace,
+        area_factor=_shorten_if_equal(area_factor),
+        pace=_shorten_if_equal(pace),
         slope_bits=_mark_slopes(step_array, step_cells, layout),
     )
     weight[:] = flat.weights_for_agent(weight)
@@ -482,6 +482,11 @@ def flatten(grid: NavGrid, agent: Agent | None = None, penalty: float | None = N
     lengths = octile_length(flat.positions(sources) - flat.positions(targets))
     steps.length[:] = np.maximum(lengths, smaller_size)
     return flat
+
+
+def _shorten_if_equal(value_of_cell: Float) -> Float:
+    """Return only the first of the values of all cells if they are all equal."""
+    return value_of_cell[:1] if (value_of_cell == value_of_cell[0]).all() else value_of_cell
 
 
 def _mark_slopes(step_array: Int, step_cells: Int, layout: Layout) -> NDArray[np.uint8]:

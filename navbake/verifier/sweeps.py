@@ -511,12 +511,12 @@ def _check_shaft(
     for car_shape in obstacles.shapes:
         if car_shape.geom not in car_geoms:
             continue
+        # the box that the shape passes through
+        shaft_low_corner = car_shape.low_corner + up_direction * car_moves[0]
+        shaft_high_corner = car_shape.high_corner + up_direction * car_moves[-1]
         shaft_obstacles = [
             obstacle
-            for obstacle in obstacles.find_overlapping(
-                car_shape.low_corner + up_direction * car_moves[0],
-                car_shape.high_corner + up_direction * car_moves[-1],
-            )
+            for obstacle in obstacles.find_overlapping(shaft_low_corner, shaft_high_corner)
             if obstacles.shapes[obstacle].geom not in car_geoms
         ]
         car_object = car_shape.collision_object

@@ -121,15 +121,12 @@ def merge_voxels(voxels: VoxelGrid) -> Boxes:
     layers[:, :num_x] = labels.transpose(2, 0, 1)
     plan = layers.reshape(num_z * (num_x + 1), num_y)
     quads = cover_with_quads(plan, np.zeros(plan.shape), 0.0, 0.0, margin=0)
-    layer, first_x = np.divmod(quads.first_cell[:, 0], num_x + 1)
+    first_row, first_y = quads.first_cell.T
+    layer, first_x = np.divmod(first_row, num_x + 1)
+    num_rows = np.round(quads.rows[:, 0] - quads.rows[:, 3]).astype(np.int64)
+    end_y = np.round(quads.cols[:, 1]).astype(np.int64)
     rectangles = np.column_stack(
-        [
-            first_x,
-            quads.first_cell[:, 1],
-            first_x + np.round(quads.rows[:, 0] - quads.rows[:, 3]).astype(np.int64),
-            np.round(quads.cols[:, 1]).astype(np.int64),
-            plan[quads.first_cell[:, 0], quads.first_cell[:, 1]],
-        ]
+        [first_x, first_y, first_x + num_rows, end_y, plan[first_row, first_y]]
     )
     lower, upper, box_labels = _stack_rectangles(rectangles, layer)
 

@@ -390,15 +390,13 @@ def _keep_shown(
         for meaning, color in panel.legend
         if is_painted(color, panel.rgb[row_slice, col_slice]) or not is_painted(color, panel.rgb)
     )
-    doors = tuple(
-        door
-        for door in panel.doors
-        if min(door.start[0], door.end[0]) <= x_max
-        and max(door.start[0], door.end[0]) >= x_min
-        and min(door.start[1], door.end[1]) <= y_max
-        and max(door.start[1], door.end[1]) >= y_min
-    )
-    return panel._replace(legend=legend, doors=doors)
+    doors = []
+    for door in panel.doors:
+        low_x, high_x = sorted([door.start[0], door.end[0]])
+        low_y, high_y = sorted([door.start[1], door.end[1]])
+        if low_x <= x_max and high_x >= x_min and low_y <= y_max and high_y >= y_min:
+            doors.append(door)
+    return panel._replace(legend=legend, doors=tuple(doors))
 
 
 def _draw_overlays(

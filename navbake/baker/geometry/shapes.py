@@ -480,7 +480,8 @@ def _make_height_field_sides(x: Float, y: Float, heights: Float, size: Float) ->
     """
     rows = np.arange(len(y))
     columns = np.arange(len(x))
-    # the border's points, counter-clockwise from the corner of the smallest x and y
+    # the border's points, counter-clockwise from the corner of the smallest x and y: rows and
+    # columns of the south, east, north and west side, each without its last point
     border = [
         (np.zeros_like(columns[:-1]), columns[:-1]),
         (rows[:-1], np.full_like(rows[:-1], columns[-1])),

@@ -49,11 +49,11 @@ class Footprint(NamedTuple):
         """
         half_cell_size = cell_size / 2
         radius = agent.radius
+        disc_covers_square = radius >= half_cell_size * np.sqrt(2.0)
+        square_covers_disc = radius <= half_cell_size
         return cls(
-            half_square=half_cell_size - TOUCH_DEPTH
-            if radius < half_cell_size * np.sqrt(2.0)
-            else 0.0,
-            radius=radius - TOUCH_DEPTH if radius > half_cell_size else 0.0,
+            half_square=0.0 if disc_covers_square else half_cell_size - TOUCH_DEPTH,
+            radius=0.0 if square_covers_disc else radius - TOUCH_DEPTH,
             low=agent.traversable_floor_height + TOUCH_DEPTH,
             high=agent.height - TOUCH_DEPTH,
         )

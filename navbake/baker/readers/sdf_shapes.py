@@ -128,12 +128,12 @@ def read_image_boxes(file: Path, pixel_size: float, threshold: float) -> list[Im
     y = pixel_size * quads.rows
     lowest_corners = np.stack([x.min(axis=1), y.min(axis=1)], axis=1)
     highest_corners = np.stack([x.max(axis=1), y.max(axis=1)], axis=1)
+    centers = (lowest_corners + highest_corners) / 2
+    half_sizes = (highest_corners - lowest_corners) / 2
     return [
-        ImageBox((center[0], center[1]), (half_sizes[0], half_sizes[1]))
-        for center, half_sizes in zip(
-            ((lowest_corners + highest_corners) / 2).tolist(),
-            ((highest_corners - lowest_corners) / 2).tolist(),
-            strict=True,
+        ImageBox((center_x, center_y), (half_x, half_y))
+        for (center_x, center_y), (half_x, half_y) in zip(
+            centers.tolist(), half_sizes.tolist(), strict=True
         )
     ]
 

@@ -469,13 +469,14 @@ def make_room_table(
         for index_on_level, (name, source, outdoors) in enumerate(
             room_descriptions[level_number], 1
         ):
-            is_unique = name_counts[name] == 1 and not ID_LIKE.fullmatch(name or "")
+            room_id = f"{level_number}:{index_on_level}"
+            # a name is an id if no other room has it, as a name or as a numbered id
+            if name is not None and name_counts[name] == 1 and not ID_LIKE.fullmatch(name):
+                room_id = name
             table.append(
                 Room(
                     index=index_on_level,
-                    id=name
-                    if name is not None and is_unique
-                    else f"{level_number}:{index_on_level}",
+                    id=room_id,
                     name=name,
                     level=level_number,
                     area=round(float(num_cells[index_on_level]) * lattice.cell_size**2, 6),

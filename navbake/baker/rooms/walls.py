@@ -493,7 +493,8 @@ def _measure_sharpness(strip_of_point: Int32) -> Int:
     strips = strips[first_points]
     num_in_strip = np.diff(first_points, append=strip_of_point.size)
     density = num_in_strip**2
-    density[:-1] += num_in_strip[:-1] * num_in_strip[1:] * (strips[1:] == strips[:-1] + 1)
+    is_beside_next = strips[1:] == strips[:-1] + 1
+    density[:-1] += num_in_strip[:-1] * num_in_strip[1:] * is_beside_next
     return np.add.reduceat(
         density, np.searchsorted(first_points, np.arange(num_angles) * num_points)
     )

@@ -788,15 +788,15 @@ def make_floor_surface(
         flat_tolerance *= 2
     x = level.lattice.x_min + corner_cols * cell_size
     y = level.lattice.y_max - corner_rows * cell_size
+    corners = np.stack([x, y, z + LAYER_LIFT + flat_tolerance], axis=-1)
     first_corners = (np.arange(len(corner_rows)) * 4)[:, None, None]
+    triangles = RECTANGLE_TRIANGLES + first_corners
     texture_positions = np.stack(
         [corner_cols / level.width, corner_rows / level.height], axis=-1
     ).reshape(-1, 2)
     return Surface(
-        np.stack([x, y, z + LAYER_LIFT + flat_tolerance], axis=-1)
-        .reshape(-1, 3)
-        .astype(np.float32),
-        (RECTANGLE_TRIANGLES + first_corners).reshape(-1, 3).astype(np.uint32),
+        corners.reshape(-1, 3).astype(np.float32),
+        triangles.reshape(-1, 3).astype(np.uint32),
         uv=texture_positions.astype(np.float32),
         texture=0,
     )
