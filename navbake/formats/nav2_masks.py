@@ -33,7 +33,7 @@ from navbake.formats.navgrid import check_grid
 from navbake.formats.occupancy import FREE, INSCRIBED, OCCUPIED, OccupancyValues, level_from_values
 from navbake.formats.shapes import read_room_outlines
 from navbake.formats.source import Files, check_path, read_yaml_source
-from navbake.known_names import check_choice, suggest
+from navbake.known_names import check_choice, list_first, suggest
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.islands import renew_islands
 from navbake.navgrid.lattice import cover_cells, touch_cells
@@ -99,7 +99,7 @@ def encode_mask(
 
     Without zones, the masks mark the grid's areas: a keepout mask the areas that bar the agent, a
     speed mask the areas with a speed limit. Limits are rounded down. A keepout mask leaves out the
-    finite costs of areas, with a warning.
+    finite costs of areas, with a warning. Masks that mark no cell get one, too.
 
     Args:
         grid: the grid.
@@ -138,7 +138,14 @@ def encode_mask(
         masks = _mark_zones(grid, zone, zones, is_speed_mask)
         scale = FilterScale(SPEED_PERCENT if is_speed_mask else KEEPOUT)
     files: Files = {}
-    for level_number, yaml_path in list_level_paths(grid, path, level, YAML_SUFFIXES).items():
+    path_of_level = list_level_paths(grid, path, level, YAML_SUFFIXES)
+    if not any(masks[level_number].any() for level_number in path_of_level):
+        marked_levels = [f"level {number}" for number, mask in enumerate(masks) if mask.any()]
+        reason = "the zones or areas have none"
+        if marked_levels:
+            reason = f"the zones or areas are on {list_first(marked_levels, MAX_LISTED_NAMES)}"
+        LOG.warning("%s marks no cell: %s", path.name, reason)
+    for level_number, yaml_path in path_of_level.items():
         files |= encode_map(grid.levels[level_number], masks[level_number], yaml_path, "raw", image)
         filter_name = "speed" if is_speed_mask else "keepout"
         mask_topic = f"{filter_name}_filter_mask"
@@ -235,6 +242,11 @@ def _mark_zones(
     is_speed_mask: bool,
 ) -> list[OccupancyValues]:
     """Make the mask of each level from zones, see `encode_mask` for the arguments."""
+    if isinstance(zone, str):
+        expected = f"a list of zones, as in [{zone!r}]"
+        raise FormatError(
+            f"expected {expected}, got {zone!r}", key="zone", value=zone, expected=expected
+        )
     available_zones = _find_zones(grid, zones_path, is_speed_mask)
     marked_zones: list[tuple[Zone, int]] = []  # (zone, value of its cells)
     if zone is None and not is_speed_mask:

@@ -52,6 +52,26 @@ def test_robots_stay_out_of_rooms_by_name_id_and_number(tmp_path):
         np.testing.assert_array_equal(mask(path) == 100, level.room_index == 1)
 
 
+def test_a_mask_that_marks_nothing_says_where_the_zones_are(tmp_path, caplog):
+    """As of a level that the zone isn't on: no robot would stay out."""
+    house = sample("house")
+    upstairs = next(room for room in house.rooms if room.level == 1)
+    path = tmp_path / "m.yaml"
+    house.convert(path, "nav2-keepout", level=0, zone=[upstairs.id])
+    assert caplog.messages == ["m.yaml marks no cell: the zones or areas are on level 1"]
+    house.convert(path, "nav2-keepout", level=1, zone=[upstairs.id])
+    house.convert(path, "nav2-keepout", zone=[upstairs.id])  # the mask of level 0 is empty
+    assert len(caplog.records) == 1
+    area = {"navbake": {"areas": [{"name": "pit", "cost": "inf"}]}}
+    small().with_layers(metadata=area).convert(path, "nav2-keepout")
+    assert caplog.messages[1:] == ["m.yaml marks no cell: the zones or areas have none"]
+
+
+def test_zones_are_a_list(tmp_path):
+    with pytest.raises(FormatError, match=r"expected a list of zones, as in \['1'\], got '1'"):
+        sample("house").convert(tmp_path / "m.yaml", "nav2-keepout", zone="1")
+
+
 def test_keepout_marks_every_cell_that_it_touches_and_speed_those_with_their_centre(tmp_path):
     # 5 × 3 cells of 0.1 m from x -3.7, y 12.1
     path = polygons(tmp_path / "z.json", (("desk", -3.68, 12.28, -3.46, 12.5), {}))
