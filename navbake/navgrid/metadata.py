@@ -209,23 +209,26 @@ def split_doors(doors: list[Json], num_levels: int) -> list[list[Json]]:
     """
     doors_by_level: list[list[Json]] = [[] for _ in range(num_levels)]
     for door in doors:
-        entries_by_key = {key: door[key] for key in ("cells", "solid") if key in door}
-        levels_of_door = {
-            entry[0]
-            for entries_by_state in entries_by_key.values()
-            for entries in entries_by_state.values()
-            for entry in entries
-        }
-        for level in levels_of_door.intersection(range(num_levels)):
-            cells_on_level: Json = {
-                key: {
-                    state: [[0, *entry[1:]] for entry in entries if entry[0] == level]
-                    for state, entries in entries_by_state.items()
-                }
-                for key, entries_by_state in entries_by_key.items()
-            }
-            doors_by_level[level].append({**door, **cells_on_level})
+        entry_of_level: dict[int, Json] = {}
+        for key in ("cells", "solid"):
+            for state, runs_by_level in door.get(key, {}).items():
+                for level, runs in runs_by_level:
+                    if not 0 <= level < num_levels:
+                        continue
+                    if level not in entry_of_level:
+                        entry_of_level[level] = _without_cells(door)
+                    entry_of_level[level][key][state].append([0, runs])
+        for level, entry in entry_of_level.items():
+            doors_by_level[level].append(entry)
     return doors_by_level
+
+
+def _without_cells(door: Json) -> Json:
+    """Return a copy of a door's entry that has no cells in any state."""
+    no_cells: Json = {
+        key: {state: [] for state in door[key]} for key in ("cells", "solid") if key in door
+    }
+    return {**door, **no_cells}
 
 
 SPLIT_FUNCTIONS: dict[str, Callable[[JsonValue, int], list[Any]]] = {
