@@ -66,13 +66,13 @@ class PoseSnapshot(NamedTuple):
         geom_attributes: the model's arrays that decide which geoms the bake uses, as bytes.
         joint_attributes: the model's arrays that decide how joints move bodies, as bytes.
         marker_geoms: the shapes of the geoms whose names mark rooms, as bytes.
-        marker_sites: the poses and sizes of the sites that mark rooms.
+        marker_sites: the poses, sizes and types of the sites that mark rooms, as bytes.
     """
 
     geom_attributes: list[bytes]
     joint_attributes: list[bytes]
     marker_geoms: list[bytes]
-    marker_sites: Float
+    marker_sites: list[bytes]
 
 
 class SceneChange(NamedTuple):
@@ -147,14 +147,12 @@ class TrackedScene:
                 getattr(model, attribute)[self._marker_geoms].tobytes()
                 for attribute in MARKER_ATTRIBUTES
             ],
-            marker_sites=np.hstack(
-                [
-                    data.site_xpos[site_ids],
-                    data.site_xmat[site_ids],
-                    model.site_size[site_ids],
-                    model.site_type[site_ids][:, None],
-                ]
-            ),
+            marker_sites=[
+                data.site_xpos[site_ids].tobytes(),
+                data.site_xmat[site_ids].tobytes(),
+                model.site_size[site_ids].tobytes(),
+                model.site_type[site_ids].tobytes(),
+            ],
         )
 
     def commit(self, scene: Scene, snapshot: PoseSnapshot) -> None:
@@ -290,7 +288,7 @@ class TrackedScene:
         is_marker_changed = (
             is_moved_geom[marker_geom_ids][is_structure].any()
             or snapshot.marker_geoms != self._snapshot.marker_geoms
-            or not np.array_equal(snapshot.marker_sites, self._snapshot.marker_sites)
+            or snapshot.marker_sites != self._snapshot.marker_sites
         )
         return "what marks rooms has changed" if is_marker_changed else ""
 
@@ -372,10 +370,9 @@ class TrackedScene:
         """
         if snapshot.geom_attributes != self._snapshot.geom_attributes:
             return True
-        may_change_car = (is_moved_geom & self._is_sliding_geom).any() or self._are_joints_changed(
-            snapshot
-        )
-        if self._finds_lifts and may_change_car:
+        if self._finds_lifts and (
+            (is_moved_geom & self._is_sliding_geom).any() or self._are_joints_changed(snapshot)
+        ):
             return True
         if self._config.scene.exclude.movable and (is_moved_geom & self._is_jointed_geom).any():
             return True
