@@ -19,7 +19,13 @@ from navbake.baker.scene.model import SceneModel, check_data
 from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies, joint_name
 from navbake.baker.scene.pose import data_with_joints, place_geoms
 from navbake.baker.scene.roles import LEAF, LEFT_OUT, MOVING_STRUCTURE, assign_roles
-from navbake.baker.scene.scene import Scene, digest_names, load_scene, start_hashing
+from navbake.baker.scene.scene import (
+    GEOM_ATTRIBUTES,
+    Scene,
+    digest_model,
+    load_scene,
+    start_hashing,
+)
 from navbake.config.settings import BakeConfig
 from navbake.errors import QueryError
 from navbake.known_names import suggest
@@ -28,13 +34,6 @@ from navbake.types import Bool, Float
 
 if TYPE_CHECKING:
     import mujoco
-
-# The attributes of a model that decide which geoms count, which shapes they have, and how large
-# they are. Users may write to them between two updates.
-GEOM_ATTRIBUTES = (
-    "geom_type", "geom_size", "geom_dataid", "geom_contype", "geom_conaffinity", "geom_group",
-    "geom_rgba", "geom_matid", "mat_rgba",
-)  # fmt: skip
 
 # The attributes of a model that decide how joints move bodies
 JOINT_ATTRIBUTES = ("jnt_range", "jnt_limited", "jnt_axis", "jnt_pos")
@@ -116,7 +115,7 @@ class TrackedScene:
         self._config = config
         self._scene_model = scene_model
         self._model = model
-        self._names = digest_names(model)
+        self._digested_model = digest_model(model)
         self._next_data = data_with_joints(model, scene.data, {})
         # Of equal names the first counts, so that it is entered last.
         self._body_ids = {body_name(model, body): body for body in range(model.nbody - 1, 0, -1)}
@@ -165,6 +164,8 @@ class TrackedScene:
         if scene.data is self._next_data:
             self._next_data = self.scene.data
         self.scene = scene
+        if snapshot.geom_attributes != self._snapshot.geom_attributes:
+            self._digested_model = digest_model(self._model)
         self._snapshot = snapshot
         # One assignment, so that another thread reads the last pose or this one.
         self.pose_arrays = _copy_pose(scene.data)
@@ -224,7 +225,9 @@ class TrackedScene:
             digest = scene.digest
             wait_for_digest: Callable[[], str] = lambda: digest  # noqa: E731
         else:
-            wait_for_digest = start_hashing(model, next_data, old_scene.exact_meshes, self._names)
+            wait_for_digest = start_hashing(
+                model, next_data, old_scene.exact_meshes, self._digested_model
+            )
             is_changed_geom = is_moved_geom & (old_scene.roles != LEFT_OUT)
             shapes = self._move_shapes(next_data, is_changed_geom)
             scene = replace(old_scene, shapes=shapes, digest="", data=next_data)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -56,6 +56,13 @@ from navbake.types import Bool, Float, Int, Int32
 if TYPE_CHECKING:
     import mujoco
 
+# The attributes of a model that decide which geoms count, which shapes they have, and how large
+# they are, in the order in which a scene's digest depends on them. Users may write to them between
+# two updates.
+GEOM_ATTRIBUTES = (
+    "geom_type", "geom_size", "geom_dataid", "geom_bodyid", "geom_contype", "geom_conaffinity",
+    "geom_group", "geom_rgba", "geom_matid", "mat_rgba",
+)  # fmt: skip
 MAX_COPIED_BYTES = 1 << 20  # larger arrays are hashed without a copy
 # More bytes than this are hashed in a thread; fewer take no longer than the threads' taking turns
 # at Python's global lock [bytes]
@@ -576,11 +583,12 @@ def describe_unit(scene: Scene, settings: SceneSettings) -> str:
 # ---------------------------------------------------------------- digest
 
 
-class DigestedNames(NamedTuple):
-    """The part of a scene's digest that depends on names; computed once, as names never change.
+class DigestedModel(NamedTuple):
+    """The parts of a scene's digest that no pose changes.
 
     Attributes:
-        geom_hash: a hash object that was fed the geoms' names, with which each digest begins.
+        geom_hash: a hash object that was fed what each digest begins with: the geoms' names, and
+            the arrays of `GEOM_ATTRIBUTES`.
         sites: the names of sites, as bytes, (n,).
         joints: the names of joints, as bytes, (n,).
     """
@@ -590,12 +598,17 @@ class DigestedNames(NamedTuple):
     joints: NDArray[np.uint8]
 
 
-def digest_names(model: mujoco.MjModel) -> DigestedNames:
-    """Compute the part of a scene's digest that depends on the model's names."""
+def digest_model(model: mujoco.MjModel) -> DigestedModel:
+    """Compute the parts of a scene's digest that no pose changes.
+
+    They are to be computed again when an attribute of `GEOM_ATTRIBUTES` was written to.
+    """
     geom_hash = hashlib.sha256()
     for names in all_names(model).geoms:
         geom_hash.update("\0".join(names).encode() + b"\n")
-    return DigestedNames(
+    geom_arrays = [getattr(model, attribute) for attribute in GEOM_ATTRIBUTES]
+    geom_hash.update(_hash_large_arrays(geom_hash, geom_arrays, first_number=0))
+    return DigestedModel(
         geom_hash=geom_hash,
         sites=_join_names(model, model.name_siteadr),
         joints=_join_names(model, model.name_jntadr),
@@ -611,38 +624,28 @@ def start_hashing(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     exact_meshes: dict[int, NamedMesh],
-    digested_names: DigestedNames | None = None,
+    digested_model: DigestedModel | None = None,
 ) -> Callable[[], str]:
     """Start to compute the sha256 of everything in a posed model that a bake depends on.
-
-    Small arrays are joined and hashed at once, because each call of a hash function releases
-    Python's global lock.
 
     Args:
         model: the model.
         data: the model's pose.
         exact_meshes: geom id -> mesh in the world frame, for the meshes that the model has only a
             tetrahedron for.
-        digested_names: the part of the digest that depends on names; computed if None.
+        digested_model: the parts of the digest that no pose changes; computed if None.
 
     Returns:
         A function that waits for the digest, and returns it as hexadecimal digits.
     """
-    if digested_names is None:
-        digested_names = digest_names(model)
-    digest = digested_names.geom_hash.copy()
-    pending_buffers = list[bytes | memoryview]()
-    for array_number, array in enumerate(
-        _digested_arrays(model, data, exact_meshes, digested_names)
-    ):
-        pending_buffers.append(f"{array_number} {array.dtype.str} {array.shape}\n".encode())
-        if array.nbytes > MAX_COPIED_BYTES:
-            digest.update(b"".join(pending_buffers))
-            digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
-            pending_buffers = []
-        else:
-            pending_buffers.append(np.ascontiguousarray(array).data)
-    pending_bytes = b"".join(pending_buffers)
+    if digested_model is None:
+        digested_model = digest_model(model)
+    digest = digested_model.geom_hash.copy()
+    pending_bytes = _hash_large_arrays(
+        digest,
+        _posed_arrays(model, data, exact_meshes, digested_model),
+        first_number=len(GEOM_ATTRIBUTES),
+    )
 
     def finish() -> str:
         digest.update(pending_bytes)
@@ -651,16 +654,37 @@ def start_hashing(
     return run_beside(finish) if len(pending_bytes) > MIN_THREAD_BYTES else finish
 
 
-def _digested_arrays(
+def _hash_large_arrays(
+    digest: hashlib._Hash, arrays: Iterable[NDArray[np.generic]], first_number: int
+) -> bytes:
+    """Feed arrays to a hash object: up to the last large one, and return the bytes of the rest.
+
+    Small arrays are joined, because each call of a hash function releases Python's global lock.
+
+    Args:
+        digest: the hash object.
+        arrays: the arrays.
+        first_number: the number of the first array in the digest.
+    """
+    pending_buffers = list[bytes | memoryview]()
+    for array_number, array in enumerate(arrays, first_number):
+        pending_buffers.append(f"{array_number} {array.dtype.str} {array.shape}\n".encode())
+        if array.nbytes > MAX_COPIED_BYTES:
+            digest.update(b"".join(pending_buffers))
+            digest.update(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
+            pending_buffers = []
+        else:
+            pending_buffers.append(np.ascontiguousarray(array).data)
+    return b"".join(pending_buffers)
+
+
+def _posed_arrays(
     model: mujoco.MjModel,
     data: mujoco.MjData,
     exact_meshes: dict[int, NamedMesh],
-    digested_names: DigestedNames,
+    digested_model: DigestedModel,
 ) -> Iterator[NDArray[np.generic]]:
-    """Yield the arrays of a posed model that a bake uses; the digest depends on their order."""
-    yield from (model.geom_type, model.geom_size, model.geom_dataid, model.geom_bodyid)
-    yield from (model.geom_contype, model.geom_conaffinity, model.geom_group)
-    yield from (model.geom_rgba, model.geom_matid, model.mat_rgba)
+    """Yield the arrays of a posed model that follow in a digest, which depends on their order."""
     yield from (data.geom_xpos, data.geom_xmat)
     yield from (model.body_parentid, model.body_weldid, model.body_mocapid)
     # Before MuJoCo 4, its booleans were bytes.
@@ -668,7 +692,7 @@ def _digested_arrays(
     yield from (model.jnt_type, model.jnt_bodyid, is_limited, model.jnt_range)
     yield from (model.jnt_pos, model.jnt_axis, model.jnt_qposadr, data.qpos)
     yield from (model.site_type, model.site_size, data.site_xpos, data.site_xmat)
-    yield from (digested_names.sites, digested_names.joints)
+    yield from (digested_model.sites, digested_model.joints)
     yield from (model.mesh_vertadr, model.mesh_faceadr, model.mesh_vert, model.mesh_face)
     yield from (model.mesh_graphadr, model.mesh_graph)
     yield from (model.hfield_nrow, model.hfield_ncol, model.hfield_size, model.hfield_data)

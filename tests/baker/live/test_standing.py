@@ -253,6 +253,7 @@ def test_a_body_grows_and_shrinks():
     for size in ([0.5, 0.5, 0.4], [1.0, 0.1, 0.05], [0.2, 0.2, 0.4]):
         baker.model.geom_size[geom] = size
         check_local(baker, {})
+        check_local(baker, {}, bodies={"chair": [1.0 + size[0], 1.0, 0.4]})
 
 
 def test_a_door_is_followed():
