@@ -912,15 +912,8 @@ def sample(
         is_valid = is_valid & (room_number >= 0)
         first_key = group_numbers * keys_per_group + room_number
         stop_key = first_key + 1
-
-    def count_below(sorted_keys: Array, limits: Array) -> Array:
-        """Count the sorted keys that are smaller than each limit."""
-        flat_limits = xp.reshape(xp.astype(limits, sorted_keys.dtype), (-1,))
-        counts = xp.searchsorted(sorted_keys, flat_limits, side="left")
-        return xp.reshape(xp.astype(counts, t.index_dtype), limits.shape)
-
-    first_index = count_below(keys, first_key)
-    stop_index = count_below(keys, stop_key)
+    first_index = _count_below(t, keys, first_key)
+    stop_index = _count_below(t, keys, stop_key)
     num_candidates = stop_index - first_index
     num_allowed_before = None  # for each of `cells`, how many before it are allowed; None for all
     if min_clearance is not None:
@@ -939,10 +932,37 @@ def sample(
     if num_allowed_before is None:
         cell_index = first_index + candidate_index
     else:
-        cell_index = count_below(
-            num_allowed_before[1:], num_allowed_before[first_index] + candidate_index + 1
-        )
+        # the first cell up to which as many are allowed
+        num_allowed = num_allowed_before[first_index] + candidate_index + 1
+        cell_index = _count_below(t, num_allowed_before[1:], num_allowed)
     cell = xp.astype(cells[clip(xp, cell_index, 0, cells.shape[0] - 1)], t.index_dtype)
+    points = _place_in_cells(t, cell, random_numbers)
+    has_place = is_valid & (num_candidates > 0) & ~xp.any(xp.isnan(points), axis=-1)
+    places: ArrayT = xp.where(has_place[..., None], points, xp.nan)
+    return places
+
+
+def _count_below(t: GridTensors, sorted_keys: Array, limits: Array) -> Array:
+    """Count the sorted keys that are smaller than each limit."""
+    xp = t.xp
+    flat_limits = xp.reshape(xp.astype(limits, sorted_keys.dtype), (-1,))
+    counts = xp.searchsorted(sorted_keys, flat_limits, side="left")
+    return xp.reshape(xp.astype(counts, t.index_dtype), limits.shape)
+
+
+def _place_in_cells(t: GridTensors, cell: Array, random_numbers: Array) -> Array:
+    """Place points in cells.
+
+    Args:
+        t: the tensors.
+        cell: the cells, shape (...).
+        random_numbers: numbers in [0, 1), shape (..., 3), of which the second and the third are the
+            places along x and y; shape (..., 1) for the cells' centres.
+
+    Returns:
+        World x, y and floor z [m], shape (..., 3).
+    """
+    xp = t.xp
     level, row, col = to_level_row_col(t, cell)
     z = t.floor[cell]
     z = xp.where(xp.isnan(z), t.ground[level], z)
@@ -963,7 +983,4 @@ def sample(
     last_y = xp.nextafter(south, xp.full_like(south, xp.inf))
     x = xp.minimum(west + fraction_x * (east - west), last_x)
     y = xp.maximum(north - fraction_y * (north - south), last_y)
-    points = xp.stack([x, y, z], axis=-1)
-    has_place = is_valid & (num_candidates > 0) & ~xp.any(xp.isnan(points), axis=-1)
-    places: ArrayT = xp.where(has_place[..., None], points, xp.nan)
-    return places
+    return xp.stack([x, y, z], axis=-1)

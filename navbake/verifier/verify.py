@@ -20,10 +20,11 @@ from navbake.types import Bool
 from navbake.verifier.cells import FloorCheck, OccupancyCheck
 from navbake.verifier.obstacles import Obstacles
 from navbake.verifier.probes import ObstacleProbe
-from navbake.verifier.report import Finding, LevelCounts, VerifyReport
+from navbake.verifier.report import Finding, LevelCounts, SweepCounts, VerifyReport
 from navbake.verifier.sample import (
     AgentSizes,
     CellNeighborhood,
+    InflatedGrid,
     LevelSample,
     has_cell_floors,
     inflate_for_radius,
@@ -228,21 +229,12 @@ def verify_scene(
     notes += _describe_unchecked(floor_check, occupancy_check)
 
     sweep_counts = None
-    sweep_radius = agent.radius if inflated_grid.radius is None else inflated_grid.radius
-    if paths and sweep_radius <= tolerance:
-        notes.append("no paths were swept: the agent's radius isn't above the tolerance")
-    elif paths:
-        swept_grid = verified_grid
-        if inflated_grid.radius is None:
-            swept_grid = verified_grid.inflate(sweep_radius)
-        try:
-            path_sweep = PathSweep(swept_grid, probe, agent, sweep_radius, tolerance)
-            sweep_counts, path_findings = path_sweep.sweep_random_paths(paths, seed)
-            findings += path_findings
-            if sweep_counts.paths < paths:
-                notes.append(f"only {sweep_counts.paths} paths were found between random places")
-        except FormatError as error:
-            notes.append(f"no paths were swept: {error}")
+    if paths:
+        sweep_counts, path_findings, path_notes = _sweep_paths(
+            inflated_grid, probe, agent, tolerance=tolerance, num_paths=paths, seed=seed
+        )
+        findings += path_findings
+        notes += path_notes
 
     findings.sort(key=lambda finding: (finding.level, finding.cell or (-1, -1), finding.kind))
     # the report holds the list of notes: those that follow need its totals, or come last
@@ -265,6 +257,45 @@ def verify_scene(
         note = f"the grid is of another program: an agent of {verified_grid.agent_height:g} m"
         notes.append(f"{note}, {sizes_text}")
     return report
+
+
+def _sweep_paths(
+    inflated_grid: InflatedGrid,
+    probe: ObstacleProbe,
+    agent: AgentSizes,
+    *,
+    tolerance: float,
+    num_paths: int,
+    seed: int,
+) -> tuple[SweepCounts | None, list[Finding], list[str]]:
+    """Sweep a cylinder along paths between random places.
+
+    Args:
+        inflated_grid: The grid; one without a radius is inflated for the agent's.
+        probe: The obstacles.
+        agent: The agent that the grid was baked for.
+        tolerance: Touches that are no deeper than this count as rounding [m].
+        num_paths: How many paths to sweep, >= 1.
+        seed: Seed of the draw of paths.
+
+    Returns:
+        The counts, None if no path was swept; the disagreements; and notes for the user.
+    """
+    radius = agent.radius if inflated_grid.radius is None else inflated_grid.radius
+    if radius <= tolerance:
+        return None, [], ["no paths were swept: the agent's radius isn't above the tolerance"]
+    swept_grid = inflated_grid.grid
+    if inflated_grid.radius is None:
+        swept_grid = swept_grid.inflate(radius)
+    try:
+        path_sweep = PathSweep(swept_grid, probe, agent, radius, tolerance)
+        counts, findings = path_sweep.sweep_random_paths(num_paths, seed)
+    except FormatError as error:
+        return None, [], [f"no paths were swept: {error}"]
+    notes = []
+    if counts.paths < num_paths:
+        notes.append(f"only {counts.paths} paths were found between random places")
+    return counts, findings, notes
 
 
 def _mark_excused_cells(
