@@ -429,12 +429,12 @@ def _explain_link(search: Search, route: Route, route_index: int, name: str) -> 
     link = next(link for link in search.grid.links if link.name == name)
     first_cells = search.flat.layout.start
     stop_cells = [int(first_cells[stop.level]) + stop.cell for stop in link.stops]
-    list_pairs = combinations if link.one_way else permutations
-    ways = list(list_pairs(stop_cells, 2))
+    make_pairs = combinations if link.one_way else permutations
+    passages = list(make_pairs(stop_cells, 2))
     from_cell, to_cell = route.cells[route_index - 1 : route_index + 1].tolist()
     reason = None
     # told first: a link that is opened leads no other way than before
-    if (from_cell, to_cell) not in ways:
+    if (from_cell, to_cell) not in passages:
         reason = "leads the other way only"
     elif link.refuses(search.agent) is not None:
         reason = link.refuses(search.agent)
