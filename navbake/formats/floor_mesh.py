@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from navbake._version import __version__
 from navbake.errors import QueryError
+from navbake.formats.map_losses import find_closed_cells
 from navbake.formats.source import Files
 from navbake.navgrid.colors import FREE, color_rooms, rgb_of, to_linear
 from navbake.navgrid.grid import NavGrid
@@ -115,7 +116,8 @@ class FloorMesh:
 def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> FloorMesh:
     """Make a mesh of a grid's free cells.
 
-    Each free cell is covered once; the mesh has holes at all other cells. A quad covers a rectangle
+    Each free cell is covered once; the mesh has holes at all other cells, and where an area bars
+    all agents. A quad covers a rectangle
     of cells of one room whose floor is a plane within the tolerance. The plane is horizontal, or
     sloped where at least three cells in a line rise evenly, up to the grid's `maxSlope` (45 degrees
     if it states none). So a stair becomes horizontal treads, and a ramp a slope. A stair whose
@@ -158,12 +160,13 @@ def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> Floor
         max_slope = DEFAULT_MAX_SLOPE
     max_gradient = math.tan(math.radians(max_slope)) * (1 + SLOPE_TOLERANCE)
 
+    barred_masks = find_closed_cells(grid, stairs="free").barred_masks
     levels = []
     for level_number, level in enumerate(grid.levels):
         lattice = level.lattice
         cell_size = lattice.cell_size
         room_index = level.room_index.astype(np.int32)
-        labels = np.where(level.free, room_index + 1, 0)
+        labels = np.where(level.free & ~barred_masks[level_number], room_index + 1, 0)
         quads = cover_with_quads(
             labels, level.floor_or_ground, float(tolerance), max_gradient * cell_size
         )

@@ -746,7 +746,8 @@ class GridMethods:
     def to_mesh(self, tolerance: float = 0.001) -> FloorMesh:
         """Make a mesh of the free cells, for Recast, Blender, Unity and others.
 
-        The mesh covers each free cell once, and nothing else. A rectangle of cells of one room
+        The mesh covers each free cell once, but those of areas that bar all agents, and nothing
+        else. A rectangle of cells of one room
         becomes one quad if its floor is a plane within the tolerance. A quad is horizontal, or
         sloped where at least three cells in a line rise evenly, up to the grid's ``maxSlope`` (45
         degrees if the file states none). So stairs become horizontal treads, and ramps become

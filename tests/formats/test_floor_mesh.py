@@ -145,6 +145,21 @@ def test_levels_and_places_without_floor():
     assert len(make_floor_mesh(bare).levels[0].room) == 1
 
 
+def test_areas_that_bar_all_agents_are_left_open_in_the_mesh_and_in_its_file(tmp_path):
+    level = level_from("......\n......")
+    level.attributes["area"] = np.array([[0, 1, 1, 2, 0, 3]] * 2, dtype=np.uint8)
+    pit = {"name": "pit", "cost": "inf"}
+    areas = [pit, {"name": "mud", "cost": 2.0}, {"name": "staff", "agents": ["robot"]}]
+    grid = level.with_layers(metadata={"navbake": {"areas": areas}})
+    mesh = grid.to_mesh()
+    assert mesh.area == pytest.approx(0.08)
+    assert not ((mesh.vertices[:, 0] > 0.11) & (mesh.vertices[:, 0] < 0.29)).any()
+    grid.convert(tmp_path / "floor.obj", up="z")
+    lines = (tmp_path / "floor.obj").read_text().splitlines()
+    corners = [line.split()[1:4] for line in lines if line.startswith("v ")]
+    assert np.allclose(np.array(corners, dtype=float), mesh.vertices, atol=1e-6)
+
+
 @pytest.mark.parametrize("tolerance", [-0.1, float("nan"), float("inf"), "1"])
 def test_refuses_a_tolerance_that_is_none(tolerance):
     with pytest.raises(QueryError, match="expected a tolerance of 0 m or more, got"):
