@@ -79,7 +79,8 @@ def update_baked_scene(
     """Return the values of a bake for the next pose, recomputed only near things that moved.
 
     Args:
-        baked_scene: the values of the last bake or update.
+        baked_scene: the values of the last bake or update. They are not to be used again, as the
+            masks of its occupants are changed.
         change: the changes that the next pose makes.
         config: all settings.
 
@@ -110,11 +111,12 @@ def update_baked_scene(
     )
     cells = find_affected_cells(baked_scene.movable_inputs, changed_boxes)
     occupants = old_pose.occupants
+    changed_cells = [cells[:0] for _ in structure.floors.levels]
     lost_floor_areas = old_pose.lost_floor_areas
     grid_doors = old_pose.grid_doors
     with limit_threads(1 if len(changed_boxes) < MIN_BOXES_FOR_THREADS else None):
         if is_changed_geom.any():
-            occupants = update_movable_occupants(
+            occupants, changed_cells = update_movable_occupants(
                 old_pose.occupants,
                 baked_scene.movable_inputs,
                 shapes=scene.shapes,
@@ -125,7 +127,7 @@ def update_baked_scene(
                 scene, is_obstacle_geom, is_changed_geom, baked_scene, config
             )
         if leaves is not old_pose.leaves or occupants is not old_pose.occupants:
-            grid_doors = _update_grid_doors(leaves, occupants, cells, baked_scene, config)
+            grid_doors = _update_grid_doors(leaves, occupants, changed_cells, baked_scene, config)
     name_boxes = old_pose.name_boxes
     if structure.named_occupants is not None and change.is_changed_geom.any():
         name_boxes = _update_name_boxes(
@@ -296,7 +298,7 @@ def _update_name_boxes(
 def _update_grid_doors(
     leaves: list[ClassifiedLeaf],
     occupants: MovableOccupants,
-    cells: Int,
+    changed_cells: Sequence[Int],
     baked_scene: BakedScene,
     config: BakeConfig,
 ) -> list[GridDoor]:
@@ -307,7 +309,7 @@ def _update_grid_doors(
     Args:
         leaves: all leaves in the next pose.
         occupants: the cells that anything but a door blocks in the next pose.
-        cells: ids of the cells whose occupancy may have changed, ascending.
+        changed_cells: for each level, ids of the cells whose occupancy has changed.
         baked_scene: the values of the last bake or update.
         config: all settings.
 
@@ -318,7 +320,6 @@ def _update_grid_doors(
     if not door_leaves:
         return []
     old_pose = baked_scene.pose
-    changed_cells = _select_changed_cells(occupants, old_pose.occupants, cells)
     is_changed_leaf = _mark_leaves_in_cells(
         door_leaves, changed_cells, baked_scene.structure.lattice
     )
@@ -330,25 +331,6 @@ def _update_grid_doors(
             grid_door = make_grid_door(leaf, baked_scene.structure, occupants, config)
         grid_doors.append(grid_door)
     return grid_doors
-
-
-def _select_changed_cells(
-    new_occupants: MovableOccupants, old_occupants: MovableOccupants, cells: Int
-) -> list[Int]:
-    """Return for each level those of some cells whose occupancy differs between two poses."""
-    is_changed_by_level = [
-        new_layer.ravel()[cells] != old_layer.ravel()[cells]
-        for new_layer, old_layer in zip(new_occupants.blocked, old_occupants.blocked, strict=True)
-    ]
-    if new_occupants.blocked_squares and old_occupants.blocked_squares:
-        for is_changed, new_layer, old_layer in zip(
-            is_changed_by_level,
-            new_occupants.blocked_squares,
-            old_occupants.blocked_squares,
-            strict=True,
-        ):
-            is_changed |= new_layer.ravel()[cells] != old_layer.ravel()[cells]
-    return [cells[is_changed] for is_changed in is_changed_by_level]
 
 
 def _mark_leaves_in_cells(

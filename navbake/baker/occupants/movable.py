@@ -165,17 +165,22 @@ def find_movable_occupants(
         The geoms in each cell, and the cells that they or structure block.
     """
     num_chunks = -(-inputs.lattice.height // ROWS_PER_CHUNK)
+    structure_occupancy = inputs.structure_occupancy
+    blocked_squares = None
+    if structure_occupancy.blocked_squares is not None:
+        blocked_squares = [mask.copy() for mask in structure_occupancy.blocked_squares]
     no_occupants = MovableOccupants(
         entries=[[NO_ENTRIES] * num_chunks for _ in inputs.floors.levels],
-        blocked=inputs.structure_occupancy.levels,
-        blocked_squares=inputs.structure_occupancy.blocked_squares,
+        blocked=[mask.copy() for mask in structure_occupancy.levels],
+        blocked_squares=blocked_squares,
         num_free_cells_blocked=np.zeros(
             int(inputs.mover_of_geom.max(initial=0)) + 1, dtype=np.int64
         ),
     )
     boxes = shapes.boxes[is_obstacle_geom[shapes.geom_of_box]]
     cells = find_affected_cells(inputs, boxes)
-    return update_movable_occupants(no_occupants, inputs, shapes, is_obstacle_geom, cells)
+    occupants, _ = update_movable_occupants(no_occupants, inputs, shapes, is_obstacle_geom, cells)
+    return occupants
 
 
 def find_affected_cells(inputs: MovableSearchInputs, boxes: Float) -> Int:
@@ -200,25 +205,27 @@ def update_movable_occupants(
     shapes: Shapes,
     is_obstacle_geom: Bool,
     cells: Int,
-) -> MovableOccupants:
-    """Return the occupants after things moved; only some cells are searched again.
+) -> tuple[MovableOccupants, list[Int]]:
+    """Bring the occupants up to date after things moved; only some cells are searched again.
 
     Args:
-        occupants: the occupants before the move; they are not changed.
+        occupants: the occupants before the move. Their masks are changed, as copies of whole masks
+            would take a tenth of an update; the entries are not, as grids read them later.
         inputs: the floors, and the structure that stands on them.
         shapes: all geometry that the bake uses, in the new pose.
         is_obstacle_geom: mask by geom id of the geoms to search for, shape (ngeom,), bool.
         cells: ids of the cells to search again, ascending, see `find_affected_cells`.
+
+    Returns:
+        The occupants after the move, with the same masks; and for each level, the ids of the cells
+        in which the masks have changed, ascending.
     """
     lattice = inputs.lattice
     footprint = inputs.footprint
     if not len(cells):
-        return occupants
+        return occupants, [cells for _ in occupants.blocked]
     entries = [list(row_chunks) for row_chunks in occupants.entries]
-    blocked = [mask.copy() for mask in occupants.blocked]
-    blocked_squares = None
-    if occupants.blocked_squares is not None:
-        blocked_squares = [mask.copy() for mask in occupants.blocked_squares]
+    changed_cells: list[list[Int]] = [[] for _ in occupants.blocked]
     num_free_cells_blocked = occupants.num_free_cells_blocked.copy()
     num_bodies = len(num_free_cells_blocked)
     for rows in split_into_row_chunks(lattice):
@@ -241,23 +248,29 @@ def update_movable_occupants(
             num_free_cells_blocked += _count_free_cells_blocked(
                 movables.entries, structure_mask, inputs.mover_of_geom, num_bodies
             )
-            _update_blocked_mask(blocked[level_number], structure_mask, row_cells, movables.blocked)
+            is_changed = _update_blocked_mask(
+                occupants.blocked[level_number], structure_mask, row_cells, movables.blocked
+            )
             if (
-                blocked_squares is not None
+                occupants.blocked_squares is not None
                 and inputs.structure_occupancy.blocked_squares is not None
             ):
-                _update_blocked_mask(
-                    blocked_squares[level_number],
+                is_changed |= _update_blocked_mask(
+                    occupants.blocked_squares[level_number],
                     inputs.structure_occupancy.blocked_squares[level_number],
                     row_cells,
                     movables.blocked_squares,
                 )
-    return MovableOccupants(entries, blocked, blocked_squares, num_free_cells_blocked)
+            changed_cells[level_number].append(row_cells[is_changed])
+    updated_occupants = occupants._replace(
+        entries=entries, num_free_cells_blocked=num_free_cells_blocked
+    )
+    return updated_occupants, [np.concatenate(chunks) for chunks in changed_cells]
 
 
 def _update_blocked_mask(
     mask: Bool, is_blocked_by_structure: Bool, cells: Int, blocked_cells: Int
-) -> None:
+) -> Bool:
     """Update some cells of a mask of blocked cells, after movables were searched for in them.
 
     Args:
@@ -265,10 +278,16 @@ def _update_blocked_mask(
         is_blocked_by_structure: a mask of the cells that structure blocks, (height, width).
         cells: ids of the cells to update.
         blocked_cells: ids of those updated cells that movables block.
+
+    Returns:
+        Marks those of `cells` that have changed.
     """
     flat_mask = mask.ravel()
+    was_blocked = flat_mask[cells]
     flat_mask[cells] = is_blocked_by_structure.ravel()[cells]
     flat_mask[blocked_cells] = True
+    is_changed: Bool = flat_mask[cells] != was_blocked
+    return is_changed
 
 
 def _replace_cell_entries(

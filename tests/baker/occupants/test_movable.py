@@ -121,8 +121,9 @@ def test_nothing_is_looked_for_where_nothing_moves(tmp_path: Path):
     occupants = stages.occupants
     assert not occupants.num_free_cells_blocked.any()
     assert listed(stages, 0) == []
-    # and the layers are those of what stands
-    assert occupants.blocked[0] is stages.occupancy.levels[0]
+    # and the layers are copies of those of what stands, as updates write to them
+    assert np.array_equal(occupants.blocked[0], stages.occupancy.levels[0])
+    assert not np.shares_memory(occupants.blocked[0], stages.occupancy.levels[0])
 
 
 def test_both_ways_to_cast_columns_find_the_same(monkeypatch):
