@@ -52,13 +52,14 @@ class Prisms:
         return np.stack([self.x, self.y, (self.low + self.high) / 2], axis=1)
 
     def support(self, way: Float) -> Float:
-        """The largest ``p @ way`` of each prism's points, a way of shape (n, 3) each."""
+        """The largest ``p @ way`` of each prism's points, a way of shape (n or 1, 3) each."""
         if self.is_round:
             across = np.hypot(way[:, 0], way[:, 1])
         else:
             across = np.abs(way[:, 0]) + np.abs(way[:, 1])
         upright = np.abs(way[:, 2]) * (self.high - self.low) / 2
-        return (self.center() * way).sum(axis=1) + self.half * across + upright
+        center = self.x * way[:, 0] + self.y * way[:, 1] + (self.low + self.high) / 2 * way[:, 2]
+        return center + self.half * across + upright
 
     def cuts(self, p: Float) -> tuple[Float, Float]:
         """Convex f <= 0 inside, (n, m), and gradients, (n, m, 3)."""
@@ -106,10 +107,10 @@ def body_meets_prisms(body: Body, prisms: Prisms) -> NDArray[np.int64]:
 def _separated(body: Body, prisms: Prisms) -> Bool:
     """Where one of a few obvious planes lies between the two."""
     num = len(prisms.x)
-    ways = [np.tile(axis, (num, 1)) for axis in np.concatenate([np.eye(3), -np.eye(3)])]
-    ways += [np.tile(n, (num, 1)) for n in getattr(body, "normals", np.zeros((0, 3)))]
+    ways = [*np.eye(3)[:, None], *-np.eye(3)[:, None]]  # one for all prisms
+    ways += [n[None] for n in getattr(body, "normals", np.zeros((0, 3)))]
     if (rot := getattr(body, "rot", None)) is not None:
-        ways += [np.tile(axis, (num, 1)) for axis in (rot[:, 2], -rot[:, 2])]
+        ways += [rot[None, :, 2], -rot[None, :, 2]]
     if (pos := getattr(body, "pos", None)) is not None:
         toward = prisms.center() - pos
         level = toward * [1.0, 1.0, 0.0]

@@ -80,16 +80,17 @@ def square_meets(corners: Float, prisms: Prisms) -> NDArray[np.bool_]:
         [np.full_like(prisms.x, prisms.half)] * 2 + [(prisms.high - prisms.low) / 2], axis=1
     )
     edges = np.roll(corners, -1, axis=1) - corners
-    axes = [*np.eye(3)[:, None], np.cross(edges[:, 0], edges[:, 1])]
-    axes += [np.cross(edges[:, k], side) for k, side in itertools.product(range(3), np.eye(3))]
-    met = np.ones(len(prisms.x), dtype=bool)
-    for axis in axes:
-        length = np.linalg.norm(axis, axis=1)
-        is_axis = length >= 1e-12
-        unit = axis / np.where(is_axis, length, 1.0)[:, None]
-        on_axis = (local * unit[:, None]).sum(axis=2)
-        reach = (half * np.abs(unit)).sum(axis=1)
-        met &= ~is_axis | ((on_axis.min(axis=1) <= reach) & (on_axis.max(axis=1) >= -reach))
+    normals = np.cross(edges[:, 0], edges[:, 1])[:, None]
+    across = np.cross(edges[:, :, None], np.eye(3)).reshape(-1, 9, 3)
+    sides = np.broadcast_to(np.eye(3), (len(corners), 3, 3))
+    axes = np.concatenate([sides, normals, across], axis=1)
+    lengths = np.linalg.norm(axes, axis=2)
+    is_axis = lengths >= 1e-12
+    units = axes / np.where(is_axis, lengths, 1.0)[:, :, None]
+    on_axes = local @ units.transpose(0, 2, 1)  # by prism, corner and axis
+    reach = (half[:, None] @ np.abs(units).transpose(0, 2, 1))[:, 0]
+    overlaps = (on_axes.min(axis=1) <= reach) & (on_axes.max(axis=1) >= -reach)
+    met: NDArray[np.bool_] = (overlaps | ~is_axis).all(axis=1)
     return met
 
 
