@@ -35,7 +35,13 @@ from navbake.navgrid.islands import add_layers
 from navbake.navgrid.lattice import Lattice, find_outline_fault, touch_cells
 from navbake.runtime import surroundings
 from navbake.runtime.flat_grid import RealNumber
-from navbake.runtime.surroundings import find_blocked, look_up_by_distance
+from navbake.runtime.surroundings import (
+    find_blocked,
+    find_blocked_in_stack,
+    find_margin,
+    look_up_by_distance,
+    stack_levels,
+)
 from navbake.types import Bool, Float, Int, Int32, Json
 
 if TYPE_CHECKING:
@@ -474,13 +480,24 @@ def find_off_center_masks(grid: NavGrid) -> OffCenterMasks | None:
             has_no_step[second_neighbors] &= ~is_step
         cell_size = level.lattice.cell_size
         anywhere_radius = _anywhere_radius(radius, cell_size)
-        is_blocked = find_blocked(grid, level_number, anywhere_radius, ledge_rule)
-        # also marks cells that aren't blocked: all cells of other levels count as occupied there
-        may_floors_block = find_blocked(
-            grid, level_number, anywhere_radius, ledge_rule, counts_own_occupied=False
+        diagonal_radius = _diagonal_radius(radius, cell_size)  # smaller
+        margin = find_margin(anywhere_radius, cell_size)
+        stack, level_window = stack_levels(grid, level_number, margin)
+        is_blocked = find_blocked_in_stack(
+            grid, level_number, stack, level_window, anywhere_radius, ledge_rule
         )
-        is_blocked_diagonally = find_blocked(
-            grid, level_number, _diagonal_radius(radius, cell_size), ledge_rule
+        # also marks cells that aren't blocked: all cells of other levels count as occupied there
+        may_floors_block = find_blocked_in_stack(
+            grid,
+            level_number,
+            stack,
+            level_window,
+            anywhere_radius,
+            ledge_rule,
+            counts_own_occupied=False,
+        )
+        is_blocked_diagonally = find_blocked_in_stack(
+            grid, level_number, stack, level_window, diagonal_radius, ledge_rule
         )
         diagonal_masks.append((has_no_step & ~is_blocked_diagonally).ravel())
         anywhere_masks.append((has_no_step & ~is_blocked).ravel())
@@ -578,7 +595,7 @@ def find_free_headings(
     if reach > MAX_FOOTPRINT_REACH:
         limit_text = f"within {MAX_FOOTPRINT_REACH} cells"
         raise QueryError(f"expected a polygon {limit_text}, got one of {reach}")
-    level_stack, (level_rows, level_cols) = surroundings.stack_levels(grid, level_number, reach)
+    level_stack, (level_rows, level_cols) = stack_levels(grid, level_number, reach)
     level_stack, (rows, cols) = _crop_stack(
         level_stack,
         slice(level_rows.start + window[0].start, level_rows.start + window[0].stop),

@@ -91,19 +91,51 @@ class StackPlace(NamedTuple):
     col: int
 
 
-def find_blocked(
-    grid: NavGrid,
-    level_number: int,
-    radius: float,
-    ledges: str = "avoid",
-    *,
-    counts_own_occupied: bool = True,
-) -> Bool:
+def find_blocked(grid: NavGrid, level_number: int, radius: float, ledges: str = "avoid") -> Bool:
     """Mark the cells of a level where an agent can't stand, by the rules that the module lists.
 
     Args:
         grid: the grid; its weights don't count.
         level_number: number of the level.
+        radius: the agent's radius [m], >= 0.
+        ledges: ``avoid`` or ``ignore``, see `navbake.runtime.inflation.inflate`.
+
+    Returns:
+        bool, shape (height, width) of the level.
+    """
+    margin = find_margin(radius, grid.levels[level_number].lattice.cell_size)
+    stack, level_window = stack_levels(grid, level_number, margin)
+    return find_blocked_in_stack(grid, level_number, stack, level_window, radius, ledges)
+
+
+def find_margin(radius: float, cell_size: float) -> int:
+    """Return by how many cells an agent's surroundings extend beyond its own cell.
+
+    Args:
+        radius: the agent's radius [m], >= 0.
+        cell_size: edge of a cell [m].
+    """
+    return math.ceil(radius / cell_size) + 1
+
+
+def find_blocked_in_stack(
+    grid: NavGrid,
+    level_number: int,
+    stack: LevelStack,
+    level_window: tuple[slice, slice],
+    radius: float,
+    ledges: str = "avoid",
+    *,
+    counts_own_occupied: bool = True,
+) -> Bool:
+    """Mark the cells of a level where an agent can't stand, as `find_blocked` does.
+
+    Args:
+        grid: the grid; its weights don't count.
+        level_number: number of the level.
+        stack: the cells of this level and those around it, from `stack_levels`, with the margin
+            for the radius or a larger one, see `find_margin`.
+        level_window: rows and columns of the level's own cells in the stack.
         radius: the agent's radius [m], >= 0.
         ledges: ``avoid`` or ``ignore``, see `navbake.runtime.inflation.inflate`.
         counts_own_occupied: whether the level's own occupied cells block, as the rules say. If
@@ -116,7 +148,6 @@ def find_blocked(
     """
     compiled.ensure_compiled("runtime.inflation_kernels.")
     radius_in_cells = radius / grid.levels[level_number].lattice.cell_size
-    stack, level_window = stack_levels(grid, level_number, math.ceil(radius_in_cells) + 1)
     occupied = stack.occupied[stack.level]
     disc_offsets = find_disc_offsets(radius_in_cells, occupied.shape)
     if counts_own_occupied:
