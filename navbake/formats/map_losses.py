@@ -189,7 +189,9 @@ def find_stair_cells(grid: NavGrid, level_number: int) -> Bool:
                 has_step_from_other_level[flat_region_of_cell[second_cell]] = True
     has_ground = np.zeros(num_regions + 1, dtype=bool)
     has_ground[region_of_cell[is_ground]] = True
-    for region in np.flatnonzero(~has_ground & ~has_step_from_other_level)[1:].tolist():
+    has_own_ground = ~has_ground & ~has_step_from_other_level
+    has_own_ground[0] = False  # the cells that are not free
+    for region in np.flatnonzero(has_own_ground).tolist():
         is_in_region = region_of_cell == region
         largest_part = smooth_part_of_cell[is_in_region].min()
         region_height = find_commonest_height(

@@ -70,6 +70,14 @@ def test_only_what_steps_lead_to_is_a_stair(text, stairs):
     np.testing.assert_array_equal(find_stair_cells(level, 0), expected)
 
 
+def test_a_step_to_a_cell_that_is_not_free_leads_to_no_floor():
+    """The floor behind the wall stayed closed: the step took the place of the wall's cells."""
+    house = house_from(
+        [level_from("....#444"), level_from("........")], links=[((0, 0, 4), (1, 0, 4))]
+    )
+    assert not find_stair_cells(house, 0).any()
+
+
 @pytest.mark.parametrize("slope", [0.0, 0.1, 0.5, 0.95])
 @pytest.mark.parametrize("cell_size", [0.02, 0.05, 0.1, 0.125, 0.15, 0.2])
 def test_a_ramp_and_what_it_leads_to_stay_free(slope, cell_size):
