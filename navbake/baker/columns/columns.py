@@ -656,14 +656,15 @@ def _list_boxes(
                 )
 
     run_in_chunks(count_boxes, num_chunks)
-    tile_start = np.zeros(num_tiles + 1, dtype=np.int64)
-    np.cumsum(next_list_index.sum(axis=0), out=tile_start[1:])
+    for chunk in range(1, num_chunks):
+        next_list_index[chunk] += next_list_index[chunk - 1]
+    tile_start = np.empty(num_tiles + 1, dtype=np.int64)
+    tile_start[0] = 0
+    np.cumsum(next_list_index[-1], out=tile_start[1:])
     # each chunk's boxes over a tile follow those of the chunks before it
-    index_of_chunk = tile_start[:-1]
-    for chunk in range(num_chunks):
-        index_of_next_chunk = index_of_chunk + next_list_index[chunk]
-        next_list_index[chunk] = index_of_chunk
-        index_of_chunk = index_of_next_chunk
+    for chunk in range(num_chunks - 1, 0, -1):
+        np.add(tile_start[:-1], next_list_index[chunk - 1], out=next_list_index[chunk])
+    next_list_index[0] = tile_start[:-1]
     box_indices_by_tile = np.empty(tile_start[-1], dtype=np.int32)
 
     def list_boxes(first_chunk: int, end_chunk: int) -> None:
