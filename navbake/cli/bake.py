@@ -61,7 +61,7 @@ def init(
     from navbake.config.settings import load_config
     from navbake.config.template import make_template, write_template
 
-    options.refuse_unused(("--force", force, output != options.STDOUT, "files"))
+    options.refuse_unused("--force", force, has_effect=output != options.STDOUT, purpose="files")
     if output == options.STDOUT:
         options.write_output(make_template(scene, Path())[1].encode(), output)
         add_facts(scene_id=load_config(scene).scene.id)
@@ -197,11 +197,13 @@ def voxelize(
     is_octree_file = [ending in OCTREE_SUFFIXES for ending in endings]
     binvox_has_ids = bool(segments) and has_binvox
     options.refuse_unused(
-        ("--compact", compact, binvox_has_ids, ".binvox with --segment"),
-        ("--twin", twin, binvox_has_ids, ".binvox with --segment"),
-        ("--airsim", airsim, has_binvox, ".binvox"),
-        ("--free", free, any(is_octree_file), ".bt and .ot"),
+        "--compact", compact, has_effect=binvox_has_ids, purpose=".binvox with --segment"
     )
+    options.refuse_unused(
+        "--twin", twin, has_effect=binvox_has_ids, purpose=".binvox with --segment"
+    )
+    options.refuse_unused("--airsim", airsim, has_effect=has_binvox, purpose=".binvox")
+    options.refuse_unused("--free", free, has_effect=any(is_octree_file), purpose=".bt and .ot")
     if segments and all(is_octree_file):
         raise BadParameter("octrees hold no IDs: write a .npz, too", param_hint="--segment")
     from navbake.config.settings import load_config  # loads numpy
@@ -338,12 +340,16 @@ def bake(
     if is_file and output != str(options.STDOUT) and not Path(output or "").suffix:
         problem = f"expected a name that ends in {', '.join(options.GRID_SUFFIXES)}, got {output}"
         raise BadParameter(f"{problem}: a new folder is written {output}/", param_hint="-o")
-    options.refuse_unused(("--name", name is not None, not is_file, "files in a folder"))
+    options.refuse_unused(
+        "--name", name is not None, has_effect=not is_file, purpose="files in a folder"
+    )
     if name is not None:
         expand_file_name(name, "id", Path("stem"))
     options.refuse_unused(
-        ("--isolate-seconds", seconds is not None, isolate, "--isolate"),
-        ("--isolate-memory", memory is not None, isolate, "--isolate"),
+        "--isolate-seconds", seconds is not None, has_effect=isolate, purpose="--isolate"
+    )
+    options.refuse_unused(
+        "--isolate-memory", memory is not None, has_effect=isolate, purpose="--isolate"
     )
     from navbake.config.settings import load_config
     from navbake.views.describe import describe

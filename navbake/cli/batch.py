@@ -223,12 +223,21 @@ def _check_options(
     is_ray = worker_options.executor == "ray"
     is_complete = batch_slice is None
     complete_batch = "the whole batch, as with --merge"
+    options.refuse_unused("--ray-address", has_address, has_effect=is_ray, purpose="--executor ray")
     options.refuse_unused(
-        ("--ray-address", has_address, is_ray, "--executor ray"),
-        ("--merge", run_options.merge, is_complete, "all slices"),
-        ("--page", product_options.has_page, is_complete, complete_batch),
-        ("--parquet", product_options.parquet, is_complete, complete_batch),
-        ("--shards", product_options.shards is not None, is_complete, complete_batch),
+        "--merge", run_options.merge, has_effect=is_complete, purpose="all slices"
+    )
+    options.refuse_unused(
+        "--page", product_options.has_page, has_effect=is_complete, purpose=complete_batch
+    )
+    options.refuse_unused(
+        "--parquet", product_options.parquet, has_effect=is_complete, purpose=complete_batch
+    )
+    options.refuse_unused(
+        "--shards",
+        product_options.shards is not None,
+        has_effect=is_complete,
+        purpose=complete_batch,
     )
     if not product_options.output:
         raise BadParameter("expected a folder, got nothing: . is the current one", param_hint="-o")

@@ -178,7 +178,9 @@ def audit(
 
     Example: navbake audit house.grid.json -o remarks.png
     """
-    options.refuse_unused(("--radius", radius is not None, routes_grid is not None, "--grid"))
+    options.refuse_unused(
+        "--radius", radius is not None, has_effect=routes_grid is not None, purpose="--grid"
+    )
     if routes_grid is None and grid.name.lower().endswith(ROUTE_ENDINGS):
         raise BadParameter(f"{grid} is a graph of routes: add --grid GRID", param_hint="GRID")
     if output is not None:

@@ -119,14 +119,34 @@ def episodes(
     has_room_goals = goal_kind == "room"
     has_named_goals = has_object_goals or has_room_goals
     options.refuse_unused(
-        ("--object", bool(objects), has_object_goals, "--task object and reach, --of object"),
-        ("--room", bool(rooms), has_room_goals, "--task room, --of room"),
-        ("--categories", categories is not None, has_named_goals, "goals that have names"),
-        ("--footprint", footprint is not None, task == "reach", "--task reach"),
-        ("--length", length is not None, task == "sequence", "--task sequence"),
-        ("--of", of is not None, task == "sequence", "--task sequence"),
-        ("--share", share is not None, task == "explore", "--task explore"),
-        ("--split-by", split_by is not None, bool(split), "--split"),
+        "--object",
+        bool(objects),
+        has_effect=has_object_goals,
+        purpose="--task object and reach, --of object",
+    )
+    options.refuse_unused(
+        "--room", bool(rooms), has_effect=has_room_goals, purpose="--task room, --of room"
+    )
+    options.refuse_unused(
+        "--categories",
+        categories is not None,
+        has_effect=has_named_goals,
+        purpose="goals that have names",
+    )
+    options.refuse_unused(
+        "--footprint", footprint is not None, has_effect=task == "reach", purpose="--task reach"
+    )
+    options.refuse_unused(
+        "--length", length is not None, has_effect=task == "sequence", purpose="--task sequence"
+    )
+    options.refuse_unused(
+        "--of", of is not None, has_effect=task == "sequence", purpose="--task sequence"
+    )
+    options.refuse_unused(
+        "--share", share is not None, has_effect=task == "explore", purpose="--task explore"
+    )
+    options.refuse_unused(
+        "--split-by", split_by is not None, has_effect=bool(split), purpose="--split"
     )
     options.check_output(output, *EPISODE_SUFFIXES, inputs=grids)
     from msgspec import ValidationError, convert  # --help does without it
@@ -352,7 +372,7 @@ def score(
     elif len(grids) == 1 and grids[0].is_dir():
         grids = find_grids(episode_set, grids[0])
     are_flights = {episode.task for episode in episode_set.episodes} == {FLY_TASK}
-    options.refuse_unused(("--doors", doors is not None, not are_flights, "grids"))
+    options.refuse_unused("--doors", doors is not None, has_effect=not are_flights, purpose="grids")
     if not grids:
         noun = "voxels" if are_flights else "grids"
         raise QueryError(f"expected the {noun} of {content}, which names none: give them")

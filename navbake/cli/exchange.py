@@ -162,12 +162,14 @@ def convert(
         or source_name.endswith((".csv", *EPISODE_ONLY_SUFFIXES))
         or output_name.endswith(EPISODE_ONLY_SUFFIXES)
     ):
-        options.refuse_unused(*((f"--{key}", True, False, "grids") for key in given_options))
+        for key in given_options:
+            options.refuse_unused(f"--{key}", True, has_effect=False, purpose="grids")
         convert_episode_set(source, output, to, options.read_pairs(scene, "--scene", "NAME=ID"))
         return
-    options.refuse_unused(("--scene", bool(scene), False, "sets of episodes"))
+    options.refuse_unused("--scene", bool(scene), has_effect=False, purpose="sets of episodes")
     if source_format in ROUTE_FORMAT_NAMES or source_name.endswith(ROUTE_ONLY_SUFFIXES):
-        options.refuse_unused(*((f"--{key}", True, False, "grids") for key in given_options))
+        for key in given_options:
+            options.refuse_unused(f"--{key}", True, has_effect=False, purpose="grids")
         _convert_routes(source, output, source_format, to)
         return
     reader = _find_format(source, source_format, ("--from", "IN"), writing=False)
@@ -371,8 +373,10 @@ def inflate(
         raise BadParameter("expected one radius [m]", param_hint="RADIUS")
     radius = radii[0]
     options.refuse_unused(
-        ("--scaling", scaling is not None, costs == "nav2", "--costs nav2"),
-        ("--ledges", ledges is not None, mode != "minos", "--mode exact"),
+        "--scaling", scaling is not None, has_effect=costs == "nav2", purpose="--costs nav2"
+    )
+    options.refuse_unused(
+        "--ledges", ledges is not None, has_effect=mode != "minos", purpose="--mode exact"
     )
     scaling = NAV2_SCALING if scaling is None else scaling
     ledges = ledges or "avoid"
@@ -507,7 +511,9 @@ def map_descriptor(
         raise BadParameter("expected both or none of them", param_hint="--rows, --cols")
     grid_options = {"level": level, "corner": corner, "square": square, "explored": explored}
     for name, value in grid_options.items():
-        options.refuse_unused((f"--{name}", value is not None, decode is None, "a GRID"))
+        options.refuse_unused(
+            f"--{name}", value is not None, has_effect=decode is None, purpose="a GRID"
+        )
     import numpy as np  # not for --help
 
     from navbake.arena import map_descriptor as descriptor

@@ -74,18 +74,30 @@ def fly(
     """
     is_path = episodes is None
     is_voxel_file = scene.suffix.lower() in VOXEL_SUFFIXES
+    options.refuse_unused("--res", res is not None, has_effect=not is_voxel_file, purpose="scenes")
     options.refuse_unused(
-        ("--res", res is not None, not is_voxel_file, "scenes"),
-        ("--margin", margin is not None, not is_voxel_file, "scenes"),
-        ("--set", bool(scene_files.overrides), not is_voxel_file, "scenes"),
-        ("--model-path", bool(scene_files.model_path), not is_voxel_file, "scenes"),
-        ("--strict", scene_files.strict, not is_voxel_file, "scenes"),
-        ("--from", start is not None, is_path, "one path, not for --episodes"),
-        ("--to", goal is not None, is_path, "one path, not for --episodes"),
-        ("--clearance", clearance > 0.0, is_path, "one path, not for --episodes"),
-        ("--rule", bool(rules), not is_path, "--episodes"),
-        ("--seed", seed is not None, not is_path, "--episodes"),
+        "--margin", margin is not None, has_effect=not is_voxel_file, purpose="scenes"
     )
+    options.refuse_unused(
+        "--set", bool(scene_files.overrides), has_effect=not is_voxel_file, purpose="scenes"
+    )
+    options.refuse_unused(
+        "--model-path", bool(scene_files.model_path), has_effect=not is_voxel_file, purpose="scenes"
+    )
+    options.refuse_unused(
+        "--strict", scene_files.strict, has_effect=not is_voxel_file, purpose="scenes"
+    )
+    options.refuse_unused(
+        "--from", start is not None, has_effect=is_path, purpose="one path, not for --episodes"
+    )
+    options.refuse_unused(
+        "--to", goal is not None, has_effect=is_path, purpose="one path, not for --episodes"
+    )
+    options.refuse_unused(
+        "--clearance", clearance > 0.0, has_effect=is_path, purpose="one path, not for --episodes"
+    )
+    options.refuse_unused("--rule", bool(rules), has_effect=not is_path, purpose="--episodes")
+    options.refuse_unused("--seed", seed is not None, has_effect=not is_path, purpose="--episodes")
     if is_path:
         begin = _parse_position(start, "--from")
         end = _parse_position(goal, "--to")

@@ -161,9 +161,12 @@ def report(
 
     if any(os.path.isdir(path) for path in grids):
         options.refuse_unused(
-            ("--audit", with_audit, False, "grids: a batch audits its grids itself"),
-            ("--verify", bool(verifications), False, "grids"),
+            "--audit",
+            with_audit,
+            has_effect=False,
+            purpose="grids: a batch audits its grids itself",
         )
+        options.refuse_unused("--verify", bool(verifications), has_effect=False, purpose="grids")
         from navbake.batch.index import INDEX_NAME, read_index
         from navbake.batch.page import PAGE_NAME, write_page
 
@@ -267,13 +270,22 @@ def view(
 
     is_grid = source.name.lower().endswith(GRID_SUFFIXES)
     options.refuse_unused(
-        ("--set", bool(scene_files.overrides), not is_grid, "a SCENE or CONFIG"),
-        ("--model-path", bool(scene_files.model_path), not is_grid, "a SCENE or CONFIG"),
-        ("--strict", scene_files.strict, not is_grid, "a SCENE or CONFIG"),
-        ("--scene", scene is not None, is_grid, "a GRID"),
-        ("--force", force, is_grid, "a GRID"),
-        ("--episodes", episodes is not None, is_grid, "a GRID"),
-        ("--trajectories", trajectories is not None, is_grid, "a GRID"),
+        "--set", bool(scene_files.overrides), has_effect=not is_grid, purpose="a SCENE or CONFIG"
+    )
+    options.refuse_unused(
+        "--model-path",
+        bool(scene_files.model_path),
+        has_effect=not is_grid,
+        purpose="a SCENE or CONFIG",
+    )
+    options.refuse_unused(
+        "--strict", scene_files.strict, has_effect=not is_grid, purpose="a SCENE or CONFIG"
+    )
+    options.refuse_unused("--scene", scene is not None, has_effect=is_grid, purpose="a GRID")
+    options.refuse_unused("--force", force, has_effect=is_grid, purpose="a GRID")
+    options.refuse_unused("--episodes", episodes is not None, has_effect=is_grid, purpose="a GRID")
+    options.refuse_unused(
+        "--trajectories", trajectories is not None, has_effect=is_grid, purpose="a GRID"
     )
     # before the bake, which may be slow
     with PageServer(host, port, allowed=allow_origin or ()) as server:

@@ -373,19 +373,20 @@ def say_if_sample(path: Path) -> None:
         print_error(f"{path} is the installed sample {sample}: `navbake samples {path}` copies it")
 
 
-def refuse_unused(*uses: tuple[str, bool, bool, str]) -> None:
-    """Refuse options that are given but would have no effect.
+def refuse_unused(name: str, is_given: bool, *, has_effect: bool, purpose: str) -> None:
+    """Refuse an option that is given but would have no effect.
 
     Args:
-        uses: an entry for each option: its name, whether it is given, whether it has an effect, and
-            its purpose, for the error.
+        name: the option's name, as typed.
+        is_given: whether it is given.
+        has_effect: whether it has an effect beside the other arguments.
+        purpose: what it is for, for the error.
 
     Raises:
-        BadParameter: an option is given and has no effect.
+        BadParameter: the option is given and has no effect.
     """
-    for name, is_given, has_effect, purpose in uses:
-        if is_given and not has_effect:
-            raise BadParameter(f"does nothing here: it is for {purpose}", param_hint=name)
+    if is_given and not has_effect:
+        raise BadParameter(f"does nothing here: it is for {purpose}", param_hint=name)
 
 
 def _expect_words(not_one_of: re.Match[str]) -> str:
