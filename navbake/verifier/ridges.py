@@ -69,9 +69,13 @@ class RidgeProbe:
         self._agent = agent
         self._lattice = lattice
         self._line_at = line_at
-        self._standable_at = standable_at
+        # many walks enter a cell, and all walks along a row of cells end at the same edge
+        self._heights_at = lru_cache(200_000)(
+            lambda row, col: [hit.z for hit in standable_at(row, col)]
+        )
         self._max_cells = int(MAX_WALK_LENGTH / lattice.cell_size) + 1
         self.is_ridge = lru_cache(200_000)(self._is_ridge)
+        self._is_drop = lru_cache(200_000)(self._find_drop)
 
     def _is_ridge(self, row: int, col: int, z: float) -> bool:
         """Return whether a place is narrower than 0.4 m between two drops, or might be.
@@ -101,21 +105,25 @@ class RidgeProbe:
 
     def _walk(self, row: int, col: int, row_offset: int, col_offset: int, z: float) -> WalkEnd:
         """Walk from a place over cells until no surface is within a step of the one before."""
+        max_step = self._agent.step
         for num_cells in range(self._max_cells + 1):
             next_row = row + row_offset
             next_col = col + col_offset
-            surface_heights = [hit.z for hit in self._standable_at(next_row, next_col)]
-            nearest_height = min(
-                surface_heights, key=lambda height: abs(height - z), default=math.inf
-            )
-            if abs(nearest_height - z) > self._agent.step:
+            nearest_height = math.inf
+            smallest_gap = math.inf
+            for height in self._heights_at(next_row, next_col):
+                gap = abs(height - z)
+                if gap < smallest_gap:
+                    smallest_gap = gap
+                    nearest_height = height
+            if smallest_gap > max_step:
                 return WalkEnd(num_cells, self._is_drop((row, col), (next_row, next_col), z))
             row = next_row
             col = next_col
             z = nearest_height
         return WalkEnd(self._max_cells + 1, False)
 
-    def _is_drop(self, cell: tuple[int, int], next_cell: tuple[int, int], z: float) -> bool:
+    def _find_drop(self, cell: tuple[int, int], next_cell: tuple[int, int], z: float) -> bool:
         """Return whether a surface ends at a drop between two cells, and not at a wall."""
         if any(abs(hit.z - z) <= self._agent.step for hit in self._line_at(*next_cell).hits):
             return False
