@@ -303,8 +303,11 @@ def sample(
         headings = rng.uniform(-math.pi, math.pi, count)
     else:
         room_names = None if room is None else [room]
-        if room is None and not outdoors:
+        has_yard = any(grid_room.outdoors for grid_room in nav_grid.rooms)
+        if room is None and not outdoors and has_yard:
             room_names = [indoor.id for indoor in nav_grid.rooms if not indoor.outdoors]
+            if not room_names:
+                raise QueryError(f"no room of {nav_grid.scene_id!r} is indoors")
         positions, headings = finder.spawn(
             rng, count, rooms=room_names, level=level, min_distance=spread
         )

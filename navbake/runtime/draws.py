@@ -313,7 +313,7 @@ def _draw_places(
         limit_texts = [
             f"{name} {value}"
             for name, value in selection_limits.items()
-            if value not in (None, False)
+            if value is not None and value is not False  # level 0 is one
         ]
         limits_text = f" with {', '.join(limit_texts)}" if limit_texts else ""
         raise QueryError(f"no free cell in {search.grid.scene_id!r}{limits_text}")
@@ -377,7 +377,7 @@ def _describe_distances(min_distance: float, max_distance: float) -> dict[str, o
 
 def _describe_outdoors(outdoors: bool) -> dict[str, object]:
     """Return the limit that an error states where places outdoors are left out."""
-    return {} if outdoors else {"outdoors": False}
+    return {} if outdoors else {"outdoors": "left out"}
 
 
 # ---------------------------------------------------------------- crowds

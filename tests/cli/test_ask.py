@@ -13,6 +13,7 @@ from typer import BadParameter
 
 import navbake
 from door_scenes import LEAF, ROOMS, world
+from grid_maps import level_from, room
 from link_towers import DROP, LIFT, tower
 from navbake.cli.options import parse_place
 from project_paths import GOLDEN
@@ -362,6 +363,23 @@ def test_sample_keeps_indoors_and_apart(run):
     outdoors = {room.id for room in navbake.load(HOUSE).rooms if room.outdoors}
     assert status == 0
     assert not outdoors & {place["room"] for place in json.loads(out)["places"]}
+
+
+def test_sample_keeps_indoors_of_grids_without_a_yard_or_without_a_house(run, tmp_path):
+    """Nothing is outdoors without rooms: places are drawn with `--spread` as without."""
+    field = level_from("....\n....", cell_size=0.5)
+    field.save(tmp_path / "field.json")
+    for spread in ((), ("--spread", 0.5)):
+        status, out, err = run("sample", tmp_path / "field.json", "-n", 2, "--no-outdoors", *spread)
+        assert (status, len(out.splitlines()), err) == (0, 3, "")
+    field.attributes["roomIndex"] = np.ones(field.shape, dtype=np.uint16)
+    yard = {"sceneId": "yard", "navbake": {"rooms": [{**room(0, 1, "yard"), "outdoors": True}]}}
+    field.with_layers(metadata=yard).save(tmp_path / "yard.json")
+    arguments = "sample", tmp_path / "yard.json", "--no-outdoors"
+    assert "no room of 'yard' is indoors" in run(*arguments, "--spread", 0.5)[2]
+    assert "no free cell in 'yard' with outdoors left out" in run(*arguments)[2]
+    err = run(*arguments, "--level", 0)[2]
+    assert "no free cell in 'yard' with level 0, outdoors left out" in err
 
 
 def test_stand_prints_poses_from_which_a_base_reaches_a_thing(run):
