@@ -64,6 +64,10 @@ class Task(Record, frozen=True, kw_only=True):
         check_word(self.name, GRID_TASKS, "task")
         if self.name == "reach" and self.radius is not None:
             raise ValueError("expected no radius of a task reach: its stance says what is in reach")
+        if self.objects and self.kind not in ("object", "reach"):
+            raise ValueError(f"expected no objects of a task {self.name}: no goal of it is one")
+        if self.rooms and self.kind != "room":
+            raise ValueError(f"expected no rooms of a task {self.name}: no goal of it is one")
 
     @property
     def kind(self) -> str:

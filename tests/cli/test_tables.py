@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from navbake.auditor.facts import Remark
-from navbake.cli.printing import lay_out_table, print_error, print_tables
+from navbake.cli.printing import VERBOSITY, lay_out_table, print_error, print_tables
 from navbake.lengths import format_length, format_position
 from navbake.navgrid.rooms import Room
 from navbake.views.tables import make_level_table, make_room_table, make_table
@@ -51,6 +51,7 @@ def test_columns_without_anything_are_left_out():
 
 
 def test_a_terminal_gets_what_fits_and_a_pipe_everything(monkeypatch, capsys):
+    monkeypatch.setattr(VERBOSITY, "as_json", False)  # a command that ran before leaves its own
     table = make_table(HEADINGS, [(7, LONG, "shelf", "some words to wrap " * 5)])
     print_tables(table)
     assert len(capsys.readouterr().out.splitlines()) == 2

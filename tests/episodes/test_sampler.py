@@ -347,6 +347,30 @@ def test_sequences_of_objects_and_rooms(of):
         make_task("sequence", of="door")
 
 
+@pytest.mark.parametrize("goals", [{"objects": ("table*",)}, {"rooms": ("kit*",)}])
+@pytest.mark.parametrize(
+    ("name", "of", "named"),
+    [
+        ("point", "point", ""),
+        ("explore", "point", ""),
+        ("object", "point", "objects"),
+        ("reach", "point", "objects"),
+        ("room", "point", "rooms"),
+        ("sequence", "point", ""),
+        ("sequence", "object", "objects"),
+        ("sequence", "room", "rooms"),
+    ],
+)
+def test_goals_that_a_task_does_not_have_are_refused(name, of, named, goals):
+    """They were passed over, and the set had other goals than those that were named."""
+    (field,) = goals
+    if field == named:
+        assert getattr(make_task(name, of=of, **goals), field)
+        return
+    with pytest.raises(ConfigError, match=f"expected no {field} of a task {name}"):
+        make_task(name, of=of, **goals)
+
+
 def test_splits_are_of_whole_scenes_or_rooms():
     names = [f"scene {k}" for k in range(20)]
     parts = Splits(shares={"train": 0.7, "val": 0.3})
