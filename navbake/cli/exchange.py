@@ -179,8 +179,6 @@ def convert(
     }
     if "height" in read_options:
         read_options["height"] = _parse_heights(read_options["height"])
-    elif "height" in given_options:
-        given_options["height"] = _parse_wall_height(given_options["height"])
     given_options.pop("doors", None)
     for key in given_options.keys() - {*writer.write_options}:
         purposes = [f"{form.name} as OUT" for form in GRID_FORMATS if key in form.write_options]
@@ -189,6 +187,8 @@ def convert(
         raise BadParameter(
             f"does nothing here: it is for {', '.join(purposes)}", param_hint=option_name
         )
+    if "height" in given_options:
+        given_options["height"] = _parse_wall_height(given_options["height"])
     inputs = [source, *(value for value in given_options.values() if isinstance(value, Path))]
     options.check_output(output, inputs=inputs)
     level_file = source.with_name(f"{source.stem}_0{source.suffix}") if source.name else source

@@ -147,6 +147,8 @@ CASES = [
     ("inflate absent.json --radius 1 -o a.json", 1, "absent.json"),
     ("inflate house.json.gz --radius 30cm -o a.json", 2, "30cm"),
     ("inflate house.json.gz --radius=30cm -o a.json", 2, "30cm"),
+    ("convert house.json.gz a.yaml --height 0.1:1.2", 2, "--height: does nothing here: it is for"),
+    ("convert house.json.gz a.xml --height 0.1:1.2", 2, "expected the height of walls [m]"),
     ("inflate house.json.gz --radius 1 --scaling 3 -o a.json", 2, "does nothing here"),
     ("inflate house.json.gz 1 --mode minos --ledges avoid -o a.json", 2, "does nothing here"),
     ("inflate house.json.gz 1 -o a.pgm", 2, ".json, .json.gz, got a.pgm"),
