@@ -177,8 +177,9 @@ def inflate(
                 _refine_weights(level, radius / cell_size, (radius + clearance) / cell_size)
             )
             continue
+        # what does not depend on the blocked cells is found by another thread meanwhile
+        wait_for_opened = threads.run_beside(_mark_opened, level)
         if costs == "nav2":
-            # the costs do not depend on the blocked cells: another thread finds them meanwhile
             find_costs = partial(nav2_costs, level=level_number)
             wait_for_costs = threads.run_beside(
                 find_costs, grid, radius, radius + clearance, scaling
@@ -193,7 +194,9 @@ def inflate(
         elif clearance > 0:
             is_in_clearance = find_blocked(grid, level_number, radius + clearance, ledges)
             least_weights = np.where(is_in_clearance, np.uint8(STEP_COST), np.uint8(0))
-        weights_by_level.append(_combine_weights(level, is_blocked, least_weights))
+        weights_by_level.append(
+            _combine_weights(level, wait_for_opened(), is_blocked, least_weights)
+        )
 
     inflation_entry: Json = {"radius": float(radius), "clearance": float(clearance), "mode": mode}
     if mode == "exact":
@@ -228,15 +231,30 @@ def inflate(
     return inflated_grid
 
 
+def _mark_opened(level: SceneGrid2D) -> Bool:
+    """Mark the cells that are free in an inflated level unless something blocks them there.
+
+    Args:
+        level: the level before. Its layer ``solid`` says which cells only the baked radius blocks;
+            without it, no cell is marked.
+    """
+    if "solid" not in level.attributes:
+        return np.zeros(level.shape, dtype=np.bool_)
+    return np.ascontiguousarray(level.free_for_point)
+
+
 def _combine_weights(
-    level: SceneGrid2D, is_blocked: Bool, least_weights: NDArray[np.uint8] | None
+    level: SceneGrid2D,
+    is_opened: Bool,
+    is_blocked: Bool,
+    least_weights: NDArray[np.uint8] | None,
 ) -> Float:
     """Compute the weights of an inflated level.
 
-    Cells that only the baked radius blocked weigh 1 where they are free now.
-
     Args:
         level: the level before.
+        is_opened: where cells of infinite weight weigh 1 now, unless they are blocked, shape
+            (height, width).
         is_blocked: whether each cell is blocked now, shape (height, width).
         least_weights: the least weight of each free cell, 0 for none, shape (height, width); None
             if no cell has one.
@@ -247,9 +265,6 @@ def _combine_weights(
     compiled.ensure_compiled("runtime.inflation_kernels.")
     # kernels take writeable arrays
     old_weights = np.require(level.weights, np.float64, ["C", "W"])
-    is_opened = np.zeros(level.shape, dtype=np.bool_)
-    if "solid" in level.attributes:
-        is_opened = np.ascontiguousarray(level.free_for_point)
     if least_weights is None:
         least_weights = np.zeros(level.shape, dtype=np.uint8)
     weights = np.empty(level.shape)
