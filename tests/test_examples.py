@@ -21,7 +21,7 @@ PRINTED = {
         "cost of clearance 0 m: 11.08 m, 0.47 m from things",
         "no way for a radius of 0.6 m from island 1",
     ],
-    "follow_a_path": ["arrived after 1", " m from the person, contacts: 0"],
+    "follow_a_path": ["arrived after ", " m from the person, contacts: 0"],
     "gymnasium_env": ["50 episodes, four at a time: ", "a step ahead is worth "],
     "larger_robot": [
         "radius 0.30 m: 16.2 m2 free, path of",

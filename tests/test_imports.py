@@ -481,6 +481,8 @@ def test_a_command_loads_only_what_it_needs(baked, command, unloaded):
         f"import os\nos.chdir({str(baked)!r})\nfrom navbake.cli.main import main\n"
         f"try: main({command.split()})\nexcept SystemExit as end: assert not end.code"
     )
+    if sys.version_info < (3, 11):  # numba loads scipy.linalg, which loads it in SciPy 1.15
+        unloaded = {*unloaded} - {"scipy.sparse"}
     found = loaded_after(code) & {*unloaded}
     # a run that compiles a kernel loads what only the compiler needs; the next one has it
     assert not found or loaded_after(code) & {*unloaded} == set()

@@ -172,6 +172,7 @@ def revealed(messages) -> dict[str, str]:
     return types
 
 
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="numpy for Python 3.10 has other types")
 @pytest.mark.timeout(900)
 def test_mypy_reveals_every_type(revealed):
     assert {expression: plain(text) for expression, text in revealed.items()} == REVEALED

@@ -22,8 +22,14 @@ FOLDER = tempfile.TemporaryDirectory()
 STEP, HEIGHT = 0.25, 1.14
 GOLDEN = ROOT / "tests" / "golden"
 
-LENGTHS = st.floats(0.03, 0.5)
-PLACES = st.tuples(st.floats(-1.4, 1.4), st.floats(-1.4, 1.4))
+
+def numbers(low: float, high: float) -> st.SearchStrategy[float]:
+    """Numbers of nine digits: MuJoCo 3 reads none that are as small as floats can be."""
+    return st.floats(low, high).map(lambda number: round(number, 9))
+
+
+LENGTHS = numbers(0.03, 0.5)
+PLACES = st.tuples(numbers(-1.4, 1.4), numbers(-1.4, 1.4))
 FLOOR = Thing("box", (1.6, 1.6, 0.1), (0.0, 0.0, -0.1))
 
 
@@ -33,10 +39,10 @@ def things(draw) -> Thing:
     kind = draw(st.sampled_from(["box", "sphere", "cylinder", "capsule", "ellipsoid"]))
     num = {"box": 3, "sphere": 1, "ellipsoid": 3}.get(kind, 2)
     size = tuple(draw(LENGTHS) for _ in range(num))
-    quat = draw(st.tuples(*[st.floats(-1, 1)] * 4))
+    quat = draw(st.tuples(*[numbers(-1, 1)] * 4))
     norm = float(np.linalg.norm(quat))
     quat = tuple(q / norm for q in quat) if norm > 0.1 else (1.0, 0.0, 0.0, 0.0)
-    return Thing(kind, size, (*draw(PLACES), draw(st.floats(0.0, 1.6))), quat)
+    return Thing(kind, size, (*draw(PLACES), draw(numbers(0.0, 1.6))), quat)
 
 
 @st.composite

@@ -218,7 +218,7 @@ def test_ground_round_a_rock_is_no_crack(folder, x):
 @given(
     width=st.floats(0.001, 0.029),
     at=st.floats(-0.1, 0.1),
-    turn=st.floats(0, 180),
+    turn=st.floats(0, 180, allow_subnormal=False),  # MuJoCo 3 reads none
 )
 @settings(max_examples=25, deadline=None)
 def test_crack_at_any_angle(folder, width, at, turn):

@@ -207,6 +207,8 @@ def test_clicks_meet_what_mujocos_rays_meet():
         found = pick_in(view_state, ViewRay(origin, direction))
         # floors are met as cells, and round things have corners here
         if geom[0] >= 0 and is_box[geom[0]] and found is not None and found.geom is not None:
+            if model.geom_type[found.geom] == mujoco.mjtGeom.mjGEOM_SDF:
+                continue  # the vase: MuJoCo 3's rays pass through it
             met += 1
             assert found.geom == geom[0]
     assert met > 20
