@@ -443,8 +443,11 @@ def select_list_entries(
         and its flags.
     """
     first_entries = list_starts[cells]
-    is_end = geom < 0
-    num_ends_before = np.cumsum(is_end, dtype=np.int32) - is_end
-    end_entries = np.flatnonzero(is_end)[num_ends_before[first_entries]]
-    cell_index, entry_index = expand_ranges(first_entries, end_entries)
+    list_lengths = np.zeros(len(cells), dtype=np.int64)
+    unfinished_lists = np.flatnonzero(geom[first_entries] >= 0)
+    while len(unfinished_lists):  # cells whose lists go on
+        list_lengths[unfinished_lists] += 1
+        next_geom = geom[first_entries[unfinished_lists] + list_lengths[unfinished_lists]]
+        unfinished_lists = unfinished_lists[next_geom >= 0]
+    cell_index, entry_index = expand_ranges(first_entries, first_entries + list_lengths)
     return cell_index, geom[entry_index], flags[entry_index]
