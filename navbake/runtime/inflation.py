@@ -177,9 +177,10 @@ def inflate(
                 _refine_weights(level, radius / cell_size, (radius + clearance) / cell_size)
             )
             continue
-        # what does not depend on the blocked cells is found by another thread meanwhile
-        wait_for_opened = threads.run_beside(_mark_opened, level)
+        find_opened = partial(_mark_opened, level)
         if costs == "nav2":
+            # neither depends on the blocked cells: another thread finds both meanwhile
+            find_opened = threads.run_beside(find_opened)
             find_costs = partial(nav2_costs, level=level_number)
             wait_for_costs = threads.run_beside(
                 find_costs, grid, radius, radius + clearance, scaling
@@ -194,9 +195,7 @@ def inflate(
         elif clearance > 0:
             is_in_clearance = find_blocked(grid, level_number, radius + clearance, ledges)
             least_weights = np.where(is_in_clearance, np.uint8(STEP_COST), np.uint8(0))
-        weights_by_level.append(
-            _combine_weights(level, wait_for_opened(), is_blocked, least_weights)
-        )
+        weights_by_level.append(_combine_weights(level, find_opened(), is_blocked, least_weights))
 
     inflation_entry: Json = {"radius": float(radius), "clearance": float(clearance), "mode": mode}
     if mode == "exact":
