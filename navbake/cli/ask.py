@@ -210,7 +210,11 @@ def path(
     )
     goal_positions = [options.position_of_place(nav_grid, place, "--to") for place in goal_places]
     if len({len(position) for position in goal_positions}) > 1:
-        goal_positions = [_add_floor_height(nav_grid, position) for position in goal_positions]
+        # only a grid of one level takes places without z, and only some have none: all get it
+        goal_positions = [
+            options.position_of_place(nav_grid, place._replace(level=0), "--to")
+            for place in goal_places
+        ]
     grid_as_in_file = nav_grid
     nav_grid = _adapt_grid(grid_as_in_file, doors, radius)
     finder = navbake.PathFinder(nav_grid, agent=agent)
@@ -255,21 +259,6 @@ def path(
         options.write_picture(nav_grid, output, layers=("occupancy",), route=planned_path)
     if not planned_path:
         raise Exit(1)
-
-
-def _add_floor_height(grid: NavGrid, position: list[float]) -> list[float]:
-    """Return a position with z; one of x and y alone gets the z of the floor of the only level.
-
-    Args:
-        grid: a grid of one level.
-        position: world x, y and maybe z [m].
-    """
-    if len(position) == 3:
-        return position
-    place = grid.at(position)
-    if place is None or place.floor is None:
-        return [*position, grid.levels[0].ground]
-    return [*position, place.floor]
 
 
 def sample(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -162,14 +163,12 @@ def convert(
         or source_name.endswith((".csv", *EPISODE_ONLY_SUFFIXES))
         or output_name.endswith(EPISODE_ONLY_SUFFIXES)
     ):
-        for key in given_options:
-            options.refuse_unused(f"--{key}", True, has_effect=False, purpose="grids")
+        _refuse_grid_options(given_options)
         convert_episode_set(source, output, to, options.read_pairs(scene, "--scene", "NAME=ID"))
         return
     options.refuse_unused("--scene", bool(scene), has_effect=False, purpose="sets of episodes")
     if source_format in ROUTE_FORMAT_NAMES or source_name.endswith(ROUTE_ONLY_SUFFIXES):
-        for key in given_options:
-            options.refuse_unused(f"--{key}", True, has_effect=False, purpose="grids")
+        _refuse_grid_options(given_options)
         _convert_routes(source, output, source_format, to)
         return
     reader = _find_format(source, source_format, ("--from", "IN"), writing=False)
@@ -220,6 +219,12 @@ def convert(
     for path in write_files(content_by_path):
         add_files(path)
         say_unless_quiet(path)
+
+
+def _refuse_grid_options(given_options: Mapping[str, object]) -> None:
+    """Refuse options that are given and that only conversions of grids have."""
+    for key in given_options:
+        options.refuse_unused(f"--{key}", True, has_effect=False, purpose="grids")
 
 
 def _convert_routes(
