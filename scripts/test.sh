@@ -18,13 +18,14 @@ EOF
 
 ruff check
 ruff format --check
-# mypy takes one core for long where it has no cache yet, so it runs beside the next step. Python 3.10
-# has no numpy with the types that the code is written for
-if python -c "import sys; sys.exit(sys.version_info < (3, 11))"; then
-    mypy &
-else
-    echo "$0: no mypy on Python 3.10" >&2 &
-fi
+check_types() {
+    if has_pins; then
+        exec mypy
+    fi
+    echo "$0: no mypy on Python 3.10, whose numpy has other types" >&2
+}
+# mypy takes one core for long where it has no cache yet, so it runs beside the next step
+check_types &
 types=$!
 trap 'kill "$types" 2>/dev/null || true' EXIT # where the next step fails, mypy doesn't go on alone
 navbake warm-up # compiled once, before several processes need it

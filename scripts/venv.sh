@@ -1,6 +1,10 @@
 # Sourced by the other scripts: a virtual environment in .venv with navbake and one of its extras.
 # Leaves the current folder at the checkout, and the environment's programs first in PATH.
 
+has_pins() { # whether constraints.txt has versions for this Python: for 3.11 and newer
+    python -c "import sys; sys.exit(sys.version_info < (3, 11))"
+}
+
 use_venv() { # use_venv EXTRA
     local extra=$1 python=${PYTHON:-python3} stamp
     unset PYTHONDONTWRITEBYTECODE # without bytecode each command starts three times as slowly
@@ -18,10 +22,9 @@ use_venv() { # use_venv EXTRA
     stamp=$(cat pyproject.toml constraints.txt | cksum)
     if [ "$(cat ".venv/installed-$extra" 2>/dev/null)" != "$stamp" ]; then
         echo "$0: installing navbake[$extra] into .venv, about 600 MB:" >&2
-        # the pinned versions are for 3.11 and newer; 3.10 takes the newest that it can have
         local pins=(--constraint constraints.txt)
-        if ! python -c "import sys; sys.exit(sys.version_info < (3, 11))"; then
-            pins=()
+        if ! has_pins; then
+            pins=() # 3.10 takes the newest that it can have
             # the pip that comes with 3.10 tries versions for ten minutes and more
             python -m pip install --quiet --quiet --disable-pip-version-check --upgrade pip
         fi
