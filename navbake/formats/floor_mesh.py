@@ -75,7 +75,7 @@ class LevelMesh:
 
     @property
     def area(self) -> float:
-        """The area seen from above [m²], which is that of the free cells."""
+        """The area seen from above [m²], which is that of the covered cells."""
         quads = self.vertices.reshape(-1, 4, 3)
         return float(np.prod(quads[:, 2, :2] - quads[:, 0, :2], axis=1).sum())
 
@@ -109,19 +109,19 @@ class FloorMesh:
 
     @property
     def area(self) -> float:
-        """The area seen from above [m²], which is that of the free cells."""
+        """The area seen from above [m²], which is that of the covered cells."""
         return sum(level.area for level in self.levels)
 
 
 def make_floor_mesh(grid: NavGrid, tolerance: float = HEIGHT_TOLERANCE) -> FloorMesh:
     """Make a mesh of a grid's free cells.
 
-    Each free cell is covered once; the mesh has holes at all other cells, and where an area bars
-    all agents. A quad covers a rectangle
-    of cells of one room whose floor is a plane within the tolerance. The plane is horizontal, or
-    sloped where at least three cells in a line rise evenly, up to the grid's `maxSlope` (45 degrees
-    if it states none). So a stair becomes horizontal treads, and a ramp a slope. A stair whose
-    treads are all one cell deep becomes a slope, too.
+    Each free cell is covered once, unless an area bars all agents from it; the mesh has holes at
+    all other cells. A quad covers a rectangle of cells of one room whose floor is a plane within
+    the tolerance. The plane is horizontal, or sloped where at least three cells in a line rise
+    evenly, up to the grid's `maxSlope` (45 degrees if it states none). So a stair becomes
+    horizontal treads, and a ramp a slope. A stair whose treads are all one cell deep becomes a
+    slope, too.
 
     There are no risers. Where two quads meet, their heights differ by the step between the cells'
     floors, plus at most the rise of each quad over half a cell. A free cell without floor height

@@ -746,12 +746,12 @@ class GridMethods:
     def to_mesh(self, tolerance: float = 0.001) -> FloorMesh:
         """Make a mesh of the free cells, for Recast, Blender, Unity and others.
 
-        The mesh covers each free cell once, but those of areas that bar all agents, and nothing
-        else. A rectangle of cells of one room
-        becomes one quad if its floor is a plane within the tolerance. A quad is horizontal, or
-        sloped where at least three cells in a line rise evenly, up to the grid's ``maxSlope`` (45
-        degrees if the file states none). So stairs become horizontal treads, and ramps become
-        slopes. Stairs whose treads are all one cell deep become a slope, too.
+        The mesh covers each free cell once, unless an area bars all agents from it, and nothing
+        else. A rectangle of cells of one room becomes one quad if its floor is a plane within the
+        tolerance. A quad is horizontal, or sloped where at least three cells in a line rise evenly,
+        up to the grid's ``maxSlope`` (45 degrees if the file states none). So stairs become
+        horizontal treads, and ramps become slopes. Stairs whose treads are all one cell deep become
+        a slope, too.
 
         There are no risers. Where two quads meet, their heights differ by the step between the
         floors of the cells, plus at most the rise of each quad over half a cell. A free cell
