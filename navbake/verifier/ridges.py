@@ -75,7 +75,7 @@ class RidgeProbe:
         )
         self._max_cells = int(MAX_WALK_LENGTH / lattice.cell_size) + 1
         self.is_ridge = lru_cache(200_000)(self._is_ridge)
-        self._is_drop = lru_cache(200_000)(self._find_drop)
+        self._is_drop = lru_cache(200_000)(self._ends_at_drop)
 
     def _is_ridge(self, row: int, col: int, z: float) -> bool:
         """Return whether a place is narrower than 0.4 m between two drops, or might be.
@@ -123,7 +123,7 @@ class RidgeProbe:
             z = nearest_height
         return WalkEnd(self._max_cells + 1, False)
 
-    def _find_drop(self, cell: tuple[int, int], next_cell: tuple[int, int], z: float) -> bool:
+    def _ends_at_drop(self, cell: tuple[int, int], next_cell: tuple[int, int], z: float) -> bool:
         """Return whether a surface ends at a drop between two cells, and not at a wall."""
         if any(abs(hit.z - z) <= self._agent.step for hit in self._line_at(*next_cell).hits):
             return False
