@@ -425,8 +425,12 @@ class PathFinder:
         The base stays within some centimetres of the path, so plan it on a grid that is inflated
         for a radius larger by that much.
 
+        The follower uses the finder's present grid, also after `use`. A path that was found on
+        another grid, as for a smaller agent or before `use`, is checked when the base starts, and
+        replaced by a new one if this grid or the finder's agent doesn't allow it.
+
         Args:
-            path: a path found by this object.
+            path: a path found by `find_path`.
             speed: the highest speed [m/s].
             acceleration: the deceleration with which the base brakes [m/s²].
             turn_rate: the highest turn rate [rad/s].
@@ -452,7 +456,7 @@ class PathFinder:
             lookahead=lookahead,
             tolerance=tolerance,
         )
-        return Follower(self._search, path, limits)
+        return Follower(self, path, limits)
 
     # ---------------------------------------------------------------- islands and rooms
 

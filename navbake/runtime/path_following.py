@@ -1,4 +1,4 @@
-"""Drives a mobile base along a path by pure pursuit, and replans when cells are blocked or freed.
+"""Drives a mobile base along a path by pure pursuit, and replans when the grid has changed.
 
 Source: Coulter, "Implementation of the Pure Pursuit Path Tracking Algorithm" (1992). Three things
 are different here: the lookahead shrinks where the straight line to its point isn't free; the base
@@ -7,6 +7,7 @@ turns on the spot if that point is far to its side; and it brakes for its goal a
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike
 from navbake.errors import QueryError
 from navbake.runtime.flat_grid import RealNumber, check_positive
 from navbake.runtime.paths import Path, distances_of_points, find_path
-from navbake.runtime.places import snap_to_cells
+from navbake.runtime.places import snap, try_step
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
 
@@ -32,6 +33,7 @@ STANDSTILL_DISTANCE = 0.01  # [m]: a base with less free path ahead waits
 LEAST_LENGTH = 1e-9  # [m]: shorter lengths are replaced by this before dividing by them
 EDGE_SHARE = 1e-3  # share of a line by which its ends are moved in, off the edges of cells
 NUM_HALVINGS = 10  # how often a blocked line is halved, to find up to where it is free
+WALK_TOLERANCE = 1e-6  # [m]: a walk that ends this near to its goal has got there
 
 
 @dataclass(frozen=True)
@@ -69,12 +71,26 @@ class Command:
     waypoint: Float  #: The point it heads for, world x, y, z [m], shape (3,): `Follower.waypoint`.
 
 
+class SearchOwner(Protocol):
+    """A `PathFinder`, as a follower uses it."""
+
+    @property
+    def search(self) -> Search:
+        """The search on its present grid, up to date with the grid's obstacles."""
+
+
 class Follower:
     """Follows a path; made by `PathFinder.follow`.
 
-    When cells of its grid are blocked or freed, it replans. It switches to the new path if the
-    rest of the current one is blocked, or if the new one is shorter by more than a tenth.
-    Without a new path, it drives up to the blocked part and waits.
+    It follows the path on the present grid of its finder. When cells of this grid are blocked or
+    freed, or after `PathFinder.use`, it replans. It switches to the new path if the rest of the
+    current one is blocked, or if the new one is shorter by more than a tenth. Without a new path,
+    it drives up to the blocked part and waits. On a grid with other levels or cells than those of
+    its path, the whole path counts as blocked.
+
+    It also replans if the base has lost its path, as after someone has carried or pushed it: if
+    the base can't drive straight to any point of the path within the lookahead. Without a new
+    path, it waits.
 
     At a link, it drives up to the link's stop and commands no motion until the base is at the next
     stop: the caller calls the lift, jumps or climbs. Meanwhile the next stop is the waypoint, and
@@ -94,15 +110,24 @@ class Follower:
         ...     position, heading = drive(command.forward, command.turn)
     """
 
-    def __init__(self, search: Search, path: Path, limits: DriveLimits) -> None:
-        self._search = search
+    _point_distances: Float  # of the path's points, along the path [m]
+    _length: float  # of the path [m]
+
+    def __init__(self, finder: SearchOwner, path: Path, limits: DriveLimits) -> None:
+        self._finder = finder
+        self._search = finder.search
         self._limits = limits
         self._goal = path.positions[-1]
         self.state = DRIVING
         self.num_replans = 0
-        self._version = -1
         self._num_links_taken = 0  # of the current path
+        self._free_distance = 0.0  # the path is free up to this distance along it [m]
+        # cell of the base that lost its path when it replanned last, -1 for none in the grid; None
+        # for a base that has its path
+        self._planned_cell: int | None = None
         self._set_path(path)
+        if path.grid is not self._search.grid or self._free_distance < self._length:
+            self._version = -1  # the first command replans
 
     @property
     def left(self) -> float:
@@ -150,12 +175,7 @@ class Follower:
         curvature = (
             2.0 * math.sin(bearing) / max(float(np.hypot(*ahead_vector)), STANDSTILL_DISTANCE)
         )
-        free_length_ahead = max(self._free_distance - self._base_distance, 0.0)
-        stop_index = self._next_stop
-        if stop_index is not None:
-            free_length_ahead = min(
-                free_length_ahead, float(np.hypot(*(self._points[stop_index] - base_position[:2])))
-            )
+        free_length_ahead = self._find_free_length_ahead(base_position)
         braking_speed = math.sqrt(2.0 * limits.acceleration * free_length_ahead)
         forward = min(limits.speed, braking_speed)
         if forward * abs(curvature) > limits.turn_rate:
@@ -175,11 +195,12 @@ class Follower:
         Raises:
             QueryError: the position is not valid.
         """
-        base_position = self._advance(position)
-        return base_position if self.state == WAITING else self._find_point_ahead(base_position)
+        return self._find_point_ahead(self._advance(position))
 
     def replan(self, position: ArrayLike) -> bool:
         """Plan a new path from a position to the goal, and switch to it if there is one.
+
+        A base that rides on a link then no longer waits for the link's next stop.
 
         Args:
             position: the base's position, world x, y, z [m], shape (3,).
@@ -197,16 +218,28 @@ class Follower:
         return path is not None
 
     def _check_position(self, position: ArrayLike) -> Float:
-        """Check the base's position, and return it with z, shape (3,)."""
-        self._search.update()
-        flat = self._search.flat
+        """Check the base's position, and return it with z, shape (3,).
+
+        Before that, the search is replaced by that on the finder's present grid.
+        """
+        search = self._finder.search
+        if search is not self._search:
+            self._search = search
+            self._version = -1
+            self._is_path_on_grid = _has_lattices_of(self.path, search)
+        flat = search.flat
         base_position = flat.check_position(position)
         if len(base_position) == 3:
             return base_position
-        return np.append(base_position, float(flat.floors.ground[0]))
+        cell = int(flat.cells_at(base_position, 0))
+        floor_height = flat.floor_heights(cell) if cell >= 0 else flat.floors.ground[0]
+        return np.append(base_position, float(floor_height))
 
     def _advance(self, position: ArrayLike) -> Float:
-        """Update the progress along the path and the state; replan if the grid has changed.
+        """Update the progress along the path and the state, and replan if that is needed.
+
+        It is if the grid has changed, or if the base has lost its path. A base that has lost its
+        path and got no new one waits. It replans when it gets into another cell.
 
         Returns the base's checked position, shape (3,).
         """
@@ -219,18 +252,77 @@ class Follower:
             self.state = DRIVING
             self._num_links_taken += 1
         self._base_distance = self._nearest_distance(base_position)
-        if self._search.version != self._version:  # cells were blocked or freed
+        base_cell = int(self._search.flat.cells_at(base_position))
+        has_lost_path = not self._can_get_to_path(base_position, base_cell)
+        has_grid_changed = self._search.version != self._version
+        if has_grid_changed or (has_lost_path and base_cell != self._planned_cell):
             self._version = self._search.version
+            self._planned_cell = base_cell
             self._free_distance = self._find_free_distance(self._base_distance)
             is_blocked = self._free_distance < self._length
             path = self._plan(base_position)
+            self._is_stranded = has_lost_path and path is None
             if path is not None and (
-                is_blocked or path.length < (1.0 - LEAST_SHORTENING) * self.left
+                has_lost_path or is_blocked or path.length < (1.0 - LEAST_SHORTENING) * self.left
             ):
                 self._set_path(path)
                 self.num_replans += 1
-        self.state = self._find_state(base_position)
+        elif not has_lost_path:
+            self._is_stranded = False
+            self._planned_cell = None
+        self.state = self._find_state(base_position, base_cell)
         return base_position
+
+    def _can_get_to_path(self, base_position: Float, base_cell: int) -> bool:
+        """Whether the base can drive straight to its path.
+
+        It can if a free straight line leads to a point ahead within the lookahead. It also can if
+        the nearest point of the path is within the lookahead, and a straight walk leads there from
+        the base, or from the nearest free place if the base's cell isn't free. So a base may be too
+        near to obstacles by up to half a cell, as where it has cut a corner.
+
+        Args:
+            base_position: world x, y, z [m], shape (3,).
+            base_cell: flat id of its cell, -1 for none.
+        """
+        if not self._is_path_on_grid:
+            return False
+        nearest_point = self.path.at(self._base_distance)
+        if not self._is_near_floor(base_cell, nearest_point):
+            return False
+        if self._find_free_point_ahead(base_position) is not None:
+            return True
+        place = self._find_free_place(base_position)
+        if place is None:
+            return False
+        if np.hypot(*(nearest_point - place)[:2]) > self._limits.lookahead:
+            return False
+        walk_end = try_step(self._search, place, nearest_point, slide=False, level=None)
+        return bool(np.hypot(*(nearest_point - walk_end)[:2]) <= WALK_TOLERANCE)
+
+    def _is_near_floor(self, base_cell: int, point: Float) -> bool:
+        """Whether the floor below the base is less than the agent's height off a point's height.
+
+        Floors that are farther apart belong to different storeys.
+        """
+        if base_cell < 0:
+            return False
+        floor_height = float(self._search.flat.floor_heights(base_cell))
+        return abs(floor_height - float(point[2])) < self._search.grid.agent_height
+
+    def _find_free_length_ahead(self, base_position: Float) -> float:
+        """Find how far the base may drive before it has to stand [m].
+
+        That is up to the goal, to the stop of the next link, or to what blocks the path. A base
+        beside the end of its path still has the straight line to it ahead.
+        """
+        stop_index = self._next_stop
+        end_index = len(self._points) - 1 if stop_index is None else stop_index
+        end_distance = float(self._point_distances[end_index])
+        if self._free_distance < end_distance:
+            return max(self._free_distance - self._base_distance, 0.0)
+        straight_distance = float(np.hypot(*(self._points[end_index] - base_position[:2])))
+        return max(end_distance - self._base_distance, straight_distance)
 
     def _is_at_next_stop(self, base_position: Float) -> bool:
         """Whether the base, which rides on a link, is at the link's next stop."""
@@ -246,55 +338,78 @@ class Follower:
         is_on_floor = rise <= self._search.flat.floors.max_step
         return is_nearer and distance <= self._limits.lookahead and bool(is_on_floor)
 
-    def _find_state(self, base_position: Float) -> str:
+    def _find_state(self, base_position: Float, base_cell: int) -> str:
         """Find the state of the base, which doesn't ride on a link."""
         stop_index = self._next_stop
-        end_point = self._goal[:2] if stop_index is None else self._points[stop_index]
+        end_position = self._goal if stop_index is None else self.path.positions[stop_index]
         end_distance = self._length if stop_index is None else self._point_distances[stop_index]
         is_near_end = end_distance - self._base_distance <= 2 * self._limits.lookahead
-        if np.hypot(*base_position[:2] - end_point) <= self._limits.tolerance and is_near_end:
+        is_at_end = np.hypot(*(base_position - end_position)[:2]) <= self._limits.tolerance
+        if is_at_end and is_near_end and self._is_near_floor(base_cell, end_position):
             return ARRIVED if stop_index is None else RIDING
+        if self._is_stranded:
+            return WAITING
         is_blocked = self._free_distance < self._length
         if is_blocked and self._free_distance - self._base_distance <= STANDSTILL_DISTANCE:
             return WAITING
         return DRIVING
 
     def _plan(self, base_position: Float) -> Path | None:
-        """Plan a path from the base to the goal.
+        """Plan a path from the base to the goal; it begins at `_find_free_place`.
 
-        It begins at the nearest free place within the lookahead if the base's cell isn't free.
         Returns None if there is no path.
         """
-        flat = self._search.flat
-        start, cell = snap_to_cells(
-            flat, flat.free, base_position, max_distance=self._limits.lookahead
-        )
-        if cell < 0:
+        start = self._find_free_place(base_position)
+        if start is None:
             return None
         return find_path(self._search, start, self._goal, None, by=self.path.by, smooth=True)
+
+    def _find_free_place(self, base_position: Float) -> Float | None:
+        """Find the base's own place, or else the nearest free one in sight within the lookahead.
+
+        Returns world x, y and floor z [m], shape (3,); None if there is no such place.
+        """
+        return snap(
+            self._search,
+            base_position,
+            level=None,
+            same_level=True,
+            same_room=False,
+            room=None,
+            island=None,
+            in_sight=True,
+            max_distance=self._limits.lookahead,
+        )
 
     def _set_path(self, path: Path) -> None:
         """Follow a new path from its start.
 
         A leg is the line from one point of the path to the next. Its level is -1 over a link.
         """
-        self._search.update()
         self.path = path
+        self.state = DRIVING
         self._version = self._search.version
+        self._is_path_on_grid = _has_lattices_of(path, self._search)
+        self._is_stranded = False  # whether the base has lost its path, and there is no other one
         self._points: Float = path.positions[:, :2]
-        self._point_distances = distances_of_points(path.positions)  # along the path [m]
+        self._point_distances = distances_of_points(path.positions)
         self._length = float(self._point_distances[-1])
         self._base_distance = 0.0  # how far along the path the base is [m]
         self._num_links_taken = 0
         self._leg_levels: Int = np.where(path.levels[:-1] == path.levels[1:], path.levels[:-1], -1)
         for stop_index, next_stop_index in path.stops.tolist():
             self._leg_levels[stop_index:next_stop_index] = -1
-        # whether `can_pass` allowed each whole leg; others lead from centre to centre of cells
+        # Whether `can_pass` allowed each whole leg; others lead from centre to centre of cells. The
+        # legs of a path of another grid all have to be allowed.
+        is_path_of_grid = path.grid is self._search.grid
         self._leg_is_swept = [
-            level >= 0 and self._search.can_pass(self._points[k], self._points[k + 1], level)
+            level >= 0
+            and (
+                not is_path_of_grid
+                or self._search.can_pass(self._points[k], self._points[k + 1], level)
+            )
             for k, level in enumerate(self._leg_levels.tolist())
         ]
-        # the path is free up to this distance along it [m]
         self._free_distance = self._find_free_distance(0.0)
 
     def _nearest_distance(self, position: Float) -> float:
@@ -337,6 +452,8 @@ class Follower:
 
     def _find_free_distance(self, first_distance: float) -> float:
         """Find the distance along the path up to which it is free [m], from a distance on."""
+        if not self._is_path_on_grid:
+            return first_distance
         point_distances = self._point_distances
         first_leg = max(int(np.searchsorted(point_distances, first_distance, side="right")) - 1, 0)
         for leg in range(first_leg, len(self._leg_levels)):
@@ -408,20 +525,43 @@ class Follower:
         """Find the point that the base heads for, world x, y, z [m], shape (3,).
 
         It is the farthest lookahead point that a free straight line leads to; the nearest of them
-        if no line is free; and while riding, the link's next stop.
+        if no line is free; while waiting, the base's position; and while riding, the link's next
+        stop.
         """
-        stop_index = self._next_stop
         if self.state == RIDING:
             stop_after_link = self.path.stops[self._num_links_taken, 1]
             return np.asarray(self.path.positions[stop_after_link])
+        if self.state == WAITING or not self._is_path_on_grid:
+            return base_position.copy()  # a caller may go on to write into its array
+        free_point = self._find_free_point_ahead(base_position)
+        return self._lookahead_point(LOOKAHEAD_SHARES[-1]) if free_point is None else free_point
+
+    def _find_free_point_ahead(self, base_position: Float) -> Float | None:
+        """Find the farthest lookahead point that a free straight line leads to; None for none."""
         level = self._find_level_at(self._base_distance)
-        point_ahead = base_position
         for lookahead_share in LOOKAHEAD_SHARES:
             distance = self._base_distance + lookahead_share * self._limits.lookahead
-            point_ahead = self.path.at(distance)
+            point_ahead = self._lookahead_point(lookahead_share)
             is_same_level = self._find_level_at(distance) == level
-            if stop_index is not None and distance >= self._point_distances[stop_index]:
-                point_ahead = self.path.positions[stop_index]
             if is_same_level and self._search.can_pass(base_position[:2], point_ahead[:2], level):
-                break
-        return point_ahead
+                return point_ahead
+        return None
+
+    def _lookahead_point(self, lookahead_share: float) -> Float:
+        """Find the point of the path a share of the lookahead ahead, at most the next link's stop.
+
+        Returns world x, y, z [m], shape (3,).
+        """
+        stop_index = self._next_stop
+        distance = self._base_distance + lookahead_share * self._limits.lookahead
+        if stop_index is not None and distance >= self._point_distances[stop_index]:
+            return np.asarray(self.path.positions[stop_index])
+        return self.path.at(distance)
+
+
+def _has_lattices_of(path: Path, search: Search) -> bool:
+    """Whether a search's grid has the levels and cells of the grid that a path was found on."""
+    if path.grid is None:
+        return False
+    path_lattices = [level.lattice for level in path.grid.levels]
+    return path_lattices == [level.lattice for level in search.grid.levels]

@@ -257,6 +257,17 @@ def test_a_follower_stands_at_a_stop_until_it_is_at_the_next():
     assert base.num_replans == 0
 
 
+def test_a_follower_that_replans_at_a_stop_rides_no_longer():
+    finder = PathFinder(tower(link("A", "lift", (0, 10), (1, 10))))
+    base = finder.follow(finder.find_path(at(0, 2), at(1, 15)))
+    base.command(at(0, 10), 0.0)
+    base.command(at(0, 10), 0.0)
+    assert base.state == "riding"
+    assert base.replan(at(1, 12))  # it took another way up
+    assert (base.state, base.link) == ("driving", None)
+    assert base.command(at(1, 12), 0.0).forward > 0.0
+
+
 def test_tensors_agree_with_the_finder():
     pytest.importorskip("array_api_compat")
     grid = tower(LIFT, DROP, storeys=3, areas=[(0, 5, 9, 2), (1, 12, 12, 1)])

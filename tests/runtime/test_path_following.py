@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import navbake
-from grid_maps import level_from
+from grid_maps import house_from, level_from
 from navbake.errors import QueryError
 from navbake.runtime.path_finder import PathFinder
 from project_paths import GOLDEN
@@ -145,6 +145,185 @@ def test_a_base_that_something_has_come_near_to_moves_on():
     with finder.grid.block(disc=((0.5, -0.3), 0.1)):
         assert not finder.is_navigable(base.position)
         drive(follower, base)
+    assert follower.num_replans == 1
+
+
+# the next grid in place of the ring's: its upper left corner [m], and how many cells of wall it has
+# round the ring
+NEXT_GRIDS = {"same cells": (0.0, 0), "moved cells": (0.03, 0), "more cells": (-0.5, 5)}
+
+
+def ring_with_box(rows, cols, cells="same cells"):
+    shift, num_cells = NEXT_GRIDS[cells]
+    ring = np.array([list(line) for line in RING.strip("\n").split("\n")])
+    for row in rows:
+        ring[row, list(cols)] = "#"
+    ring = np.pad(ring, num_cells, constant_values="#")
+    return level_from("\n".join(map("".join, ring)), x=shift, y_max=-shift)
+
+
+@pytest.mark.parametrize("cells", NEXT_GRIDS)
+@pytest.mark.parametrize("agent", [None, navbake.Agent("robot", radius=0.1)])
+def test_it_goes_by_the_grid_that_its_finder_uses_now(cells, agent):
+    level = level_from(RING)
+    finder = PathFinder(level if agent else level.inflate(0.1), agent=agent)
+    start, goal = (0.35, -0.35, 0.0), (2.45, -0.35, 0.0)
+    follower = finder.follow(finder.find_path(start, goal))
+    base = Base(finder, start)
+    drive(follower, base, 1.0, until="driving")
+    grid = ring_with_box(range(0, 6), (14, 15), cells)
+    finder.use(grid if agent else grid.inflate(0.1))
+    drive(follower, base)
+    assert follower.num_replans == 1 and follower.path.positions[:, 1].min() < -1.0
+    assert finder.clearance(np.array(base.track)).min() >= 0.06
+
+
+@pytest.mark.parametrize("cells", NEXT_GRIDS)
+def test_it_waits_where_the_grid_used_now_has_no_path_and_goes_on_by_the_next(cells):
+    finder = PathFinder(level_from(RING).inflate(0.1))
+    start, goal = (0.35, -0.35, 0.0), (2.45, -0.35, 0.0)
+    follower = finder.follow(finder.find_path(start, goal))
+    base = Base(finder, start)
+    drive(follower, base, 0.5, until="driving")
+    finder.use(ring_with_box(range(0, 16), (14, 15), cells).inflate(0.1))
+    drive(follower, base, until="waiting")
+    assert base.position[0] < 1.4 and follower.num_replans == 0
+    np.testing.assert_array_equal(
+        follower.command(base.position, base.heading).waypoint, base.position
+    )
+    finder.use(ring_with_box((), (), cells).inflate(0.1))
+    drive(follower, base)
+
+
+def test_it_keeps_its_path_where_the_grid_used_now_allows_it():
+    finder = PathFinder(level_from(RING).inflate(0.1))
+    start, goal = (0.35, -0.35, 0.0), (2.45, -0.35, 0.0)
+    path = finder.find_path(start, goal)
+    follower = finder.follow(path)
+    base = Base(finder, start)
+    for col in (5, 10, 20):  # beside the path
+        finder.use(ring_with_box((13, 14), (col, col + 1)).inflate(0.1))
+        drive(follower, base, 0.5, until="driving")
+    drive(follower, base)
+    assert follower.num_replans == 0 and follower.path is path
+
+
+def test_a_grid_of_fewer_levels_has_no_part_of_the_path():
+    lower, upper = level_from("." * 30), level_from("." * 30, ground=3.0)
+    stairs = [((0, 0, 29), (1, 0, 29))]
+    finder = PathFinder(house_from([lower, upper], stairs))
+    follower = finder.follow(finder.find_path((2.85, -0.05, 3.0), (0.05, -0.05, 3.0)))
+    position = np.array([2.45, -0.05, 3.0])
+    assert follower.command(position, math.pi).forward > 0.0
+    finder.use(level_from("." * 30))
+    follower.command(position, math.pi)
+    assert follower.state == "driving" and follower.path.levels.max() == 0
+
+
+ROOMS = """
+##############################
+#.............##.............#
+#.............##.............#
+#.............##.............#
+#.............##.............#
+#.............##.............#
+#............................#
+#............................#
+#............................#
+##############################
+"""
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        (1.85, -0.35, 0.0),  # behind the wall beside the path, nearer to it than the lookahead
+        (2.65, -0.15, 0.0),  # in the corner of the other room
+        (1.35, -0.35, 0.0),  # at the wall, nearer to it than the base's radius
+    ],
+)
+@pytest.mark.parametrize("seconds", [0.1, 1.5])
+def test_a_base_that_was_carried_off_gets_a_path_from_where_it_is(place, seconds):
+    finder = PathFinder(level_from(ROOMS).inflate(0.15))
+    start, goal = (1.15, -0.25, 0.0), (0.35, -0.65, 0.0)
+    follower = finder.follow(finder.find_path(start, goal), speed=0.2)
+    base = Base(finder, start, math.pi)
+    drive(follower, base, seconds, until="driving")
+    base = Base(finder, place)
+    drive(follower, base)
+    is_free = finder.is_navigable(place)
+    assert follower.num_replans <= 1 and (follower.num_replans == 1 or not is_free)
+    assert finder.clearance(np.array(base.track)).min() >= (0.11 if is_free else 0.0)
+    assert finder.is_navigable(base.position)
+
+
+def test_a_base_that_was_carried_where_no_path_leads_on_waits():
+    text = ROOMS.replace("#............................#", "#.............##.............#")
+    finder = PathFinder(level_from(text).inflate(0.15))
+    start, goal = (0.35, -0.25, 0.0), (1.15, -0.65, 0.0)
+    path = finder.find_path(start, goal)
+    follower = finder.follow(path)
+    for place in ((9.0, 9.0, 0.0), (1.85, -0.35, 0.0), (2.65, -0.75, 0.0), (9.0, 9.0, 0.0)):
+        command = follower.command(place, 0.0)
+        assert (follower.state, command.forward, command.turn) == ("waiting", 0.0, 0.0)
+        np.testing.assert_array_equal(command.waypoint, place)
+        assert follower.num_replans == 0
+    drive(follower, Base(finder, start))  # carried back
+
+
+@pytest.mark.parametrize("place", [(0.45, -0.85, 0.0), (0.35, -0.71, 0.0)])
+def test_a_base_that_was_pushed_beside_the_end_of_its_path_drives_there(place):
+    finder = PathFinder(level_from(ROOMS).inflate(0.15))
+    start, goal = (1.15, -0.65, 0.0), (0.35, -0.65, 0.0)
+    follower = finder.follow(finder.find_path(start, goal))
+    base = Base(finder, start, math.pi)
+    drive(follower, base, 1.4, until="driving")
+    follower.command((0.42, -0.65, 0.0), math.pi)
+    drive(follower, Base(finder, place))
+    assert follower.num_replans == 0
+
+
+def test_a_base_on_another_storey_than_its_path_has_lost_it():
+    finder = PathFinder(navbake.load(GOLDEN / "house.grid.json.gz"))
+    rng = np.random.default_rng(1)
+    goal = finder.random_point(rng, level=0, island=1)
+    place = finder.random_point(rng, level=1, reachable_from=goal)
+    below = finder.snap((*place[:2], 0.0))
+    follower = finder.follow(finder.find_path(below, goal))
+    follower.command(place, 0.0)
+    assert follower.num_replans == 1 and follower.path.levels[0] == 1
+
+    apart = house_from([level_from("." * 30), level_from("." * 30, ground=3.0)])
+    finder = PathFinder(apart)
+    follower = finder.follow(finder.find_path((0.05, -0.05, 0.0), (2.45, -0.05, 0.0)))
+    for x in (0.05, 2.45):  # over the start, and over the goal
+        follower.command((x, -0.05, 3.0), 0.0)
+        assert follower.state == "waiting"
+
+
+def test_a_path_of_another_grid_is_checked_on_that_of_the_finder():
+    narrow = level_from(RING.replace("#######.......#", "############..#"))
+    finders = {radius: PathFinder(narrow.inflate(radius)) for radius in (0.05, 0.18)}
+    path = finders[0.05].find_path((2.0, -0.35, 0.0), (2.0, -1.25, 0.0))
+    assert path.positions[:, 0].max() > 2.4  # through the gap, which is 0.2 m wide
+    follower = finders[0.18].follow(path)
+    base = Base(finders[0.18], path.positions[0])
+    drive(follower, base)
+    assert follower.num_replans == 1
+    assert finders[0.18].clearance(np.array(base.track)).min() >= 0.14
+    wide_path = finders[0.18].find_path((2.0, -0.35, 0.0), (2.3, -0.35, 0.0))
+    follower = finders[0.05].follow(wide_path)
+    drive(follower, Base(finders[0.05], wide_path.positions[0]))
+    assert follower.num_replans == 0 and follower.path is wide_path
+
+
+def test_what_was_blocked_before_it_began_is_gone_round():
+    finder = PathFinder(level_from(RING).inflate(0.1))
+    start, goal = (0.35, -0.35, 0.0), (2.45, -0.35, 0.0)
+    path = finder.find_path(start, goal)
+    with finder.grid.block(box=((1.4, -0.6), (1.5, 0.0))):
+        follower = finder.follow(path)
+        drive(follower, Base(finder, start))
     assert follower.num_replans == 1
 
 

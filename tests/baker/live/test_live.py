@@ -284,6 +284,19 @@ def test_a_finder_moves_to_the_new_grid():
     assert finder.find_path([1.0, 2.0, 0.0], [3.5, 2.0, 0.0]) is not None
 
 
+@pytest.mark.parametrize("agent", [None, navbake.Agent("robot", radius=0.2)])
+def test_a_follower_drives_round_what_an_update_has_moved(agent):
+    baker = open_room()
+    finder = navbake.PathFinder(baker.grid, agent=agent)
+    start, goal = [1.0, 2.0, 0.0], [3.5, 2.0, 0.0]
+    follower = finder.follow(finder.find_path(start, goal))
+    assert follower.command(start, 0.0).forward > 0.0
+    finder.use(baker.update(bodies={"chair": [2.0, 2.0, 0.45]}).grid)
+    follower.command(start, 0.0)
+    assert follower.num_replans == 1
+    assert finder.is_navigable(follower.path.at(np.linspace(0.0, 4.0, 99))).all()
+
+
 def test_rugs_that_cover_the_floor_leave_the_ground_where_it_is():
     rugs = "".join(
         f'<body name="rug_{k}" pos="{x} {y} 0.5" quat="1 1 0 0"><freejoint/>'
