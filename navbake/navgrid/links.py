@@ -16,7 +16,7 @@ from typing import Annotated, Literal, NamedTuple, TypeAlias, get_args
 import msgspec
 import numpy as np
 
-from navbake.errors import FormatError
+from navbake.errors import FormatError, QueryError
 from navbake.navgrid.metadata import (
     Name,
     NonNegative,
@@ -56,6 +56,9 @@ class Agent:
             for floors alone: things lower than the grid's step are no obstacles.
         speed: Its speed [m/s].
 
+    Raises:
+        QueryError: The name is no text.
+
     Example:
         >>> finder = navbake.PathFinder(grid, agent=navbake.Agent("cart", radius=0.3, speed=0.8))
     """
@@ -65,6 +68,18 @@ class Agent:
     height: Positive | None = None
     step: NonNegative | None = None
     speed: Positive = DEFAULT_SPEED
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            expected = "text as the name of an agent"
+            hint = 'write Agent("robot", radius=0.2)'
+            raise QueryError(
+                f"expected {expected}, got {self.name!r}: {hint}",
+                key="name",
+                value=self.name,
+                expected=expected,
+                hint=hint,
+            )
 
     def without_sizes(self) -> Agent:
         """Return the agent without radius, height and step, so that the grid's values count."""

@@ -29,10 +29,20 @@ def find_agent(grid: NavGrid, agent: str | Agent | None) -> Agent | None:
         agent: the agent's name; an `Agent` or None is returned unchanged.
 
     Raises:
-        QueryError: the grid lists no such agent.
+        QueryError: the grid lists no such agent, or it is neither a name nor an `Agent`.
     """
     if agent is None or isinstance(agent, Agent):
         return agent
+    if not isinstance(agent, str):
+        expected = "the name of an agent or a navbake.Agent"
+        hint = 'write navbake.Agent("robot", radius=0.2)'
+        raise QueryError(
+            f"expected {expected}, got {agent!r}: {hint}",
+            key="agent",
+            value=agent,
+            expected=expected,
+            hint=hint,
+        )
     agents: Mapping[str, Agent] = grid.agents
     if agent not in agents:
         hint = suggest(agent, agents)

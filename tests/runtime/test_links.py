@@ -236,6 +236,25 @@ def test_blocked_cells_stay_barred_and_priced():
     assert finder.find_path(at(0, 2), at(0, 11)).cost == pytest.approx(0.4 + 0.5 * 3)
 
 
+@pytest.mark.parametrize("value", [0.2, None, ["robot"], b"robot"])
+def test_a_number_in_place_of_an_agents_name_is_told(value):
+    with pytest.raises(QueryError, match=r"expected text as the name.*radius=0\.2") as caught:
+        navbake.Agent(value)
+    assert (caught.value.key, caught.value.value) == ("name", value)
+
+
+@pytest.mark.parametrize("value", [0.2, ["robot"], {"radius": 0.2}])
+def test_what_is_no_agent_is_told_with_how_to_write_one(value):
+    grid = tower()
+    for ask in (
+        lambda: PathFinder(grid, agent=value),
+        lambda: grid.tensors(agent=value),
+        lambda: grid.routes(value),
+    ):
+        with pytest.raises(QueryError, match=r"expected the name of an agent.*radius=0\.2"):
+            ask()
+
+
 def test_a_follower_stands_at_a_stop_until_it_is_at_the_next():
     finder = PathFinder(tower(link("A", "lift", (0, 10), (1, 10))))
     base = finder.follow(finder.find_path(at(0, 2), at(1, 15)), speed=0.5)
