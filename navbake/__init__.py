@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from navbake.formats.omnigibson import read_omnigibson as from_omnigibson
     from navbake.formats.procthor import read_procthor as from_procthor
     from navbake.formats.voxels import read_voxels as load_voxels
+    from navbake.navgrid.door_states import DoorStateWarning
     from navbake.navgrid.grid import MultiLevelGrid, SceneGrid2D
     from navbake.navgrid.links import Agent
     from navbake.runtime.inflation import InflationWarning
@@ -54,6 +55,7 @@ __all__ = [
     "BakeWarning",
     "Baker",
     "ConfigError",
+    "DoorStateWarning",
     "ExploredMap",
     "FormatError",
     "InflationWarning",
@@ -97,6 +99,7 @@ _LAZY = {
     "bake": "navbake.baker.bake.pipeline:bake",
     "BakeConfig": "navbake.config.settings:BakeConfig",
     "Baker": "navbake.baker.live.baker:Baker",
+    "DoorStateWarning": "navbake.navgrid.door_states:DoorStateWarning",
     "ExploredMap": "navbake.arena.map_descriptor:ExploredMap",
     "InflationWarning": "navbake.runtime.inflation:InflationWarning",
     "LocalFlight": "navbake.baker.voxels.local_flight:LocalFlight",

@@ -53,6 +53,7 @@ REFERENCE = {
         (
             "load", "from_grscenes", "from_nav2", "from_npz", "from_omnigibson", "from_procthor",
             "SceneGrid2D", "MultiLevelGrid", "InflationWarning",
+            "DoorStateWarning",
         ),
     ),
     "reference_agents.md": ("Paths and places", ("PathFinder", "Agent")),

@@ -24,6 +24,17 @@ AnyGrid = TypeVar("AnyGrid", bound=GridBase)
 DECIMALS = 6  # the ends of lines are rounded to micrometres
 
 
+class DoorStateWarning(UserWarning):
+    """A warning that doors are no longer in the states that they were given.
+
+    `PathFinder.use` issues it where doors have states of `with_doors` in the finder's grid, and are
+    as modelled in the new grid, as after an update.
+
+    ``warnings.simplefilter("error", navbake.DoorStateWarning)`` turns it into an error,
+    ``"ignore"`` silences it.
+    """
+
+
 def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
     """Return a copy of a grid in which doors have new states; see `GridBase.with_doors`.
 
@@ -88,6 +99,28 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
     changed_grid = grid.with_levels(levels, metadata)
     add_layers(changed_grid, {name for level in levels for name in level.attributes})
     return changed_grid
+
+
+def find_lost_states(old_grid: GridBase, new_grid: GridBase) -> dict[str, str]:
+    """Find the doors that have other states in a grid, and are as modelled in the next one.
+
+    Doors that block the same cells as modelled as in the state before are left out.
+
+    Args:
+        old_grid: A grid.
+        new_grid: The next grid of the same scene.
+
+    Returns:
+        Door id -> its state in `old_grid`.
+    """
+    old_states = {door.id: door.state for door in old_grid.doors if door.state != "modelled"}
+    if not old_states or old_grid.scene_id != new_grid.scene_id:
+        return {}
+    return {
+        door.id: old_states[door.id]
+        for door in new_grid.doors
+        if door.state == "modelled" and door.id in old_states and door.like != old_states[door.id]
+    }
 
 
 def _check_door_states(

@@ -17,8 +17,10 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
+from navbake.known_names import list_first
 from navbake.lazy import resolve
 from navbake.navgrid.cells import Cell
+from navbake.navgrid.door_states import DoorStateWarning, find_lost_states
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import Agent
 from navbake.runtime import draws, no_path, passage, paths, places, stand
@@ -39,6 +41,8 @@ OnePosition: TypeAlias = Sequence[float]
 
 ManyPositions: TypeAlias = Sequence[Sequence[float]]
 """x, y, z of several positions, as a list of tuples."""
+
+MAX_LISTED_DOORS = 3  # that a warning names
 
 # name that users may expect -> the method that does this
 _SUGGESTIONS = {
@@ -132,7 +136,9 @@ class PathFinder:
 
         A finder with an agent inflates the new grid for it. A finder without one takes the grid as
         it is. A `navbake.InflationWarning` says so if the new grid isn't inflated, and the grid
-        before was inflated for a larger radius than the new grid's.
+        before was inflated for a larger radius than the new grid's. Doors are as in the new grid; a
+        `navbake.DoorStateWarning` names those that are as modelled there, and had another state in
+        the grid before. The followers of the finder go on by the new grid.
 
         Args:
             grid: a grid of one or several levels, or its file.
@@ -142,8 +148,9 @@ class PathFinder:
             FormatError: the file can't be read, or is no NavGrid.
 
         Example:
-            >>> baker.update(data)
-            >>> finder.use(baker.grid)
+            >>> changes = baker.update(data)
+            >>> finder.use(changes.grid)
+            >>> finder.use(changes.grid.with_doors("open"))  # for a robot that opens doors
         """
         search = self._make_search(grid)
         last_radius = self.grid.inflated_radius
@@ -154,6 +161,22 @@ class PathFinder:
                 f"{last_radius:g} m and is now {radius:g} m. Inflate the new grid, or make the "
                 f'finder with agent=navbake.Agent("robot", radius={last_radius:g})',
                 InflationWarning,
+                stacklevel=2,
+            )
+        lost_states = find_lost_states(self.grid, search.grid)
+        if lost_states:
+            names = [f"{door_id} was {state}" for door_id, state in lost_states.items()]
+            states = {door.state for door in self.grid.doors}
+            entries = [f"{door_id!r}: {state!r}" for door_id, state in lost_states.items()]
+            more_text = ", …" if len(entries) > MAX_LISTED_DOORS else ""
+            states_text = f"{{{', '.join(entries[:MAX_LISTED_DOORS])}{more_text}}}"
+            if len(states) == 1:
+                states_text = repr(states.pop())
+            warnings.warn(
+                f"doors of {search.grid.scene_id!r} are as modelled in the finder's new grid: "
+                f"{list_first(names, MAX_LISTED_DOORS)}. Set the states of the new grid, too: "
+                f"finder.use(grid.with_doors({states_text}))",
+                DoorStateWarning,
                 stacklevel=2,
             )
         self._search = search

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import navbake
 from navbake.errors import FormatError, QueryError
 from navbake.navgrid.door_states import with_door_names
 from navbake.navgrid.grid import SceneGrid2D
@@ -194,3 +195,24 @@ def test_the_width_of_a_leaf_is_a_length():
     for width in (-1.0, 1e11, "wide"):
         with pytest.raises(FormatError, match=r"doors\[0\].*width|width"):
             parse_doors([{**GATE, "width": width}], [8])
+
+
+def test_a_finder_says_which_doors_lose_their_states(recwarn):
+    grid = make_grid()
+    finder = navbake.PathFinder(grid.with_doors({"gate": "open"}))
+    finder.use(grid.with_doors({"gate": "closed"}))  # that was meant
+    finder.use(grid)  # as modelled, it is closed
+    assert not recwarn
+    finder = navbake.PathFinder(grid.with_doors({"gate": "open"}).inflate(0.1))
+    finder.use(grid.inflate(0.1))
+    (warning,) = recwarn
+    expected = "doors of 'yard' are as modelled in the finder's new grid: gate was open. Set"
+    assert (warning.filename, expected in str(warning.message)) == (__file__, True)
+    assert str(warning.message).endswith("finder.use(grid.with_doors({'gate': 'open'}))")
+    assert warning.category is navbake.DoorStateWarning
+    finder.use(grid.inflate(0.1))
+    finder.use(grid.with_doors({"gate": "open"}).inflate(0.1))
+    other_scene = make_grid()
+    other_scene.metadata["sceneId"] = "field"
+    finder.use(other_scene.inflate(0.1))
+    assert len(recwarn) == 1
