@@ -290,7 +290,8 @@ def _drop_nan(values: ArrayLike) -> Float:
 class EpisodeMeasures(ABC):
     """Measures one episode while an agent acts: what `Measures` and `FlightMeasures` share.
 
-    The episode's start is the first position.
+    The episode's start is the first position. All distances are those of the grid or the voxels
+    that the finder has when the measures are made.
 
     Args:
         episode: the episode.
@@ -305,6 +306,7 @@ class EpisodeMeasures(ABC):
         self.threshold = threshold
         self.share = episode.goals[0].share
         self.radius = episode.goals[0].radius
+        self._first_map = self._current_map()
         self._stops = self._find_stops()
         self._num_reached = 0  # how many of the stops the agent has reached
         self._positions = list[Float]()
@@ -313,6 +315,18 @@ class EpisodeMeasures(ABC):
         self._distances = list[float]()
         self._add_positions(np.array([episode.start]), "start")
         self.shortest = self._distances[0]
+
+    @abstractmethod
+    def _current_map(self) -> object:
+        """Return the grid or the voxels that the finder has now."""
+
+    def _check_map(self) -> None:
+        """Raise a QueryError if the finder has another grid, or other voxels, than at the start."""
+        if self._current_map() is not self._first_map:
+            raise QueryError(
+                f"the finder has changed its grid since the start of episode {self.episode.id!r}: "
+                "make the measures anew after `use`"
+            )
 
     @abstractmethod
     def _find_stops(self) -> Stops:
@@ -395,7 +409,8 @@ class EpisodeMeasures(ABC):
             `distance` from this position [m].
 
         Raises:
-            QueryError: the position is not finite, or in no cell.
+            QueryError: the position is not finite, or in no cell; or the finder has another grid
+                than at the start.
         """
         times = None if time is None else [time]
         headings = None if heading is None else [heading]
@@ -417,7 +432,8 @@ class EpisodeMeasures(ABC):
                 ``reach``.
 
         Raises:
-            QueryError: a position is not finite, or in no cell.
+            QueryError: a position is not finite, or in no cell; or the finder has another grid than
+                at the start.
         """
         new_positions = np.asarray(positions, dtype=np.float64).reshape(-1, 3)
         self._add_positions(new_positions, "position")
@@ -436,8 +452,10 @@ class EpisodeMeasures(ABC):
             position_label: what errors call a position.
 
         Raises:
-            QueryError: a position is not finite, or in no cell.
+            QueryError: a position is not finite, or in no cell; or the finder has another grid than
+                at the start.
         """
+        self._check_map()
         nonfinite_rows = np.flatnonzero(~np.isfinite(new_positions).all(axis=1))
         if len(nonfinite_rows):
             place_text = f"{position_label} {nonfinite_rows[0]} of episode {self.episode.id!r}"
@@ -470,8 +488,10 @@ class EpisodeMeasures(ABC):
             shortest path [m]. A measure that has no meaning for the episode is NaN.
 
         Raises:
-            QueryError: the agent has to face an object, and positions have no headings.
+            QueryError: the agent has to face an object, and positions have no headings; or the
+                finder has another grid than at the start.
         """
+        self._check_map()
         positions = np.array(self._positions)
         stop_positions = self._stops.places
         length = np.array(self._measure_length(positions))
@@ -536,6 +556,9 @@ class Measures(EpisodeMeasures):
     ) -> None:
         self.finder = finder
         super().__init__(episode, threshold)
+
+    def _current_map(self) -> NavGrid:
+        return self.finder.grid
 
     def _find_stops(self) -> Stops:
         goals = self.episode.goals
@@ -680,6 +703,9 @@ class FlightMeasures(EpisodeMeasures):
     ) -> None:
         self.finder = finder
         super().__init__(episode, threshold)
+
+    def _current_map(self) -> VoxelGrid:
+        return self.finder.voxels
 
     def _find_stops(self) -> Stops:
         positions = [goal.position for goal in self.episode.goals if goal.position is not None]

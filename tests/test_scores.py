@@ -378,6 +378,20 @@ def test_an_object_is_reached_by_a_pose_that_faces_it():
         Measures(finder, gone)
 
 
+def test_measures_end_where_their_finder_moves_to_another_grid():
+    finder = PathFinder(plan())
+    measures = Measures(finder, episode())
+    measures.step((0.15, -0.05, 0.0))
+    finder.use(plan())
+    for go_on in (
+        lambda: measures.step((0.25, -0.05, 0.0)),
+        lambda: measures.scores(stopped=True),
+    ):
+        with pytest.raises(QueryError, match=r"changed its grid .* episode '0': make the measures"):
+            go_on()
+    assert Measures(finder, episode()).step((0.25, -0.05, 0.0)) > 0.0
+
+
 def poses_of_all(finder, stance):
     return finder.stand_poses(
         "object:pole", reach=stance.reach, footprint=stance.footprint, count=None
