@@ -278,3 +278,13 @@ def test_heights_and_unknown_voxels_are_those_of_the_set():
     assert header["sampler"]["flight"] == {
         "min_height": None, "max_height": 0.8, "unknown": "free"
     }  # fmt: skip
+
+
+def test_measures_end_where_their_finder_moves_to_other_voxels():
+    content = draw()
+    finder = make_flight_finder(content, scatter())
+    episode = content.episodes[0]
+    measures = FlightMeasures(finder, episode)
+    finder.use(scatter())
+    with pytest.raises(QueryError, match="the finder has changed its grid"):
+        measures.step(episode.start)

@@ -24,7 +24,7 @@ from navbake.baker.live.update import BakedScene, FullBakeRequired, update_baked
 from navbake.baker.scene.model import SceneInput, SceneModel
 from navbake.baker.scene.scene import load_scene_file
 from navbake.config.keywords import SettingKeywords
-from navbake.errors import BakeWarning
+from navbake.errors import BakeWarning, count_of
 from navbake.mujoco_types import MjDataLike
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.user_data import without_garbage_collection
@@ -57,6 +57,17 @@ class Changes(NamedTuple):
     is_new: bool
     reason: str
     seconds: float
+
+    def __repr__(self) -> str:
+        num_cells = sum(len(cells) for cells in self.cells)
+        kind = "whole bake" if self.reason else "update"
+        reason_text = f", {self.reason}" if self.reason else ""
+        new_text = ", new levels" if self.is_new else ""
+        cells_text = count_of(num_cells, "changed cell")
+        return (
+            f"Changes({self.grid.scene_id!r}, {cells_text}{new_text}, {kind} in "
+            f"{self.seconds:.3f} s{reason_text})"
+        )
 
 
 class Baker:

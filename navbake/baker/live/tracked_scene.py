@@ -16,7 +16,14 @@ from navbake.baker.scene.collect import collect_shapes
 from navbake.baker.scene.hull_room import are_any_large
 from navbake.baker.scene.leaves import DoorCandidate, find_door_candidates, mark_candidate_geoms
 from navbake.baker.scene.model import SceneModel, check_data
-from navbake.baker.scene.names import body_name, find_subtree_ends, geoms_of_bodies, joint_name
+from navbake.baker.scene.names import (
+    body_name,
+    find_joint_of_body,
+    find_subtree_ends,
+    geoms_of_bodies,
+    joint_name,
+    list_joint_names,
+)
 from navbake.baker.scene.pose import data_with_joints, place_geoms
 from navbake.baker.scene.roles import LEAF, LEFT_OUT, MOVING_STRUCTURE, assign_roles
 from navbake.baker.scene.scene import (
@@ -28,7 +35,7 @@ from navbake.baker.scene.scene import (
 )
 from navbake.config.settings import BakeConfig
 from navbake.errors import QueryError
-from navbake.known_names import suggest
+from navbake.known_names import MAX_LISTED, list_first, suggest
 from navbake.mujoco_types import MjDataLike
 from navbake.types import Bool, Float
 
@@ -421,7 +428,10 @@ class TrackedScene:
         model = self._model
         joint = self._joint_ids.get(name)
         if joint is None:
-            raise QueryError(f"no joint {name!r} in the scene: {suggest(name, self._joint_ids)}")
+            hint = self._suggest_joint(name)
+            raise QueryError(
+                f"no joint {name!r} in the scene: {hint}", key="joints", value=name, hint=hint
+            )
         position_array = _to_numbers(position, f"joint {name!r}")
         if int(model.jnt_type[joint]) not in (HINGE, SLIDE) or position_array.size != 1:
             raise QueryError(
@@ -429,6 +439,22 @@ class TrackedScene:
                 f"the bodies of other joints"
             )
         data.qpos[model.jnt_qposadr[joint]] = position_array.item()
+
+    def _suggest_joint(self, name: str) -> str:
+        """Write a hint for the name of a joint that isn't there.
+
+        It begins with the joint of the body of that name, which may be a door.
+        """
+        joint_names = list_joint_names(self._model)
+        joint = find_joint_of_body(self._model, name)
+        if joint is None:
+            return suggest(name, joint_names)
+        if int(self._model.jnt_type[joint]) == FREE:
+            return f"{name!r} is a body with a free joint, write bodies={{{name!r}: [x, y, z]}}"
+        own_name = joint_name(self._model, joint)
+        joint_names.remove(own_name)
+        names_text = list_first([own_name, *joint_names], MAX_LISTED)
+        return f"{name!r} is moved by its joint {own_name!r}; it has {names_text}"
 
     def _check_finite(self, data: mujoco.MjData) -> None:
         """Raise a QueryError if the pose of a body is not finite; the error names the body."""

@@ -133,6 +133,28 @@ def joint_name(model: mujoco.MjModel, joint: int) -> str:
     return name_at(model, model.name_jntadr[joint]) or f"joint {joint}"
 
 
+def find_joint_of_body(model: mujoco.MjModel, name: str) -> int | None:
+    """Return the id of the only joint of a body; None if it has none or several.
+
+    Args:
+        model: the model.
+        name: the body's name, or ``body <id>``; None is returned for an unknown one.
+    """
+    body_names = all_names(model).bodies
+    if name not in body_names:
+        return None
+    body = body_names.index(name)
+    return int(model.body_jntadr[body]) if model.body_jntnum[body] == 1 else None
+
+
+def list_joint_names(model: mujoco.MjModel) -> list[str]:
+    """List the names of all joints; those without a name, as ``joint <id>``, come last."""
+    stated_names = names_at(model, model.name_jntadr.tolist())
+    return [name for name in stated_names if name] + [
+        f"joint {joint}" for joint, name in enumerate(stated_names) if not name
+    ]
+
+
 def warn_unmatched(
     setting: str, pattern: str, names: Iterable[str], matches_text: str = "nothing"
 ) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from navbake.baker.core.constants import BALL, FREE, HINGE, SLIDE
-from navbake.baker.scene.names import names_at
+from navbake.baker.scene.names import find_joint_of_body, name_at, names_at
 from navbake.config.settings import SceneSettings
 from navbake.errors import ConfigError, SceneError
 from navbake.known_names import list_first
@@ -73,7 +73,10 @@ def _find_keyframe(model: mujoco.MjModel, name: str, settings: SceneSettings) ->
 
 
 def _find_joint(model: mujoco.MjModel, name: str, settings: SceneSettings) -> int:
-    _check_name(model, name, "joint", "joints", model.name_jntadr, settings)
+    joint = find_joint_of_body(model, name)
+    own_name = "" if joint is None else name_at(model, model.name_jntadr[joint])
+    hint = f"{name!r} is moved by its joint {own_name!r}; " if own_name else ""
+    _check_name(model, name, "joint", "joints", model.name_jntadr, settings, hint)
     return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name))
 
 
@@ -84,6 +87,7 @@ def _check_name(
     setting_key: str,
     addresses: Int32,
     settings: SceneSettings,
+    hint: str = "",
 ) -> None:
     """Raise a ConfigError unless a model has a keyframe or joint with the given name.
 
@@ -94,12 +98,14 @@ def _check_name(
         setting_key: the key of the setting that states the name, for the error.
         addresses: the addresses of the names of all keyframes or joints.
         settings: errors name `scene.path`.
+        hint: what the error says before it lists the names.
     """
     names = [model_name for model_name in names_at(model, addresses.tolist()) if model_name]
     if name not in names:
         names_text = list_first(names, 20) or "none with a name"
         raise ConfigError(
-            f"no {object_kind} {name!r} for `scene.{setting_key}`: {settings.path} has {names_text}"
+            f"no {object_kind} {name!r} for `scene.{setting_key}`: {hint}{settings.path} has "
+            f"{names_text}"
         )
 
 

@@ -333,6 +333,52 @@ def test_a_row_of_boxes_cuts_off_a_part_and_is_no_wall():
             assert baker.grid.rooms == rooms
 
 
+def test_a_result_is_one_line():
+    baker = open_room()
+    changes = baker.update(bodies={"chair": [2.0, 2.0, 0.45]})
+    num_cells = len(changes.cells[0])
+    text = f"Changes('scene', {num_cells} changed cells, update in {changes.seconds:.3f} s)"
+    assert str(changes) == repr(changes) == text
+    baker.model.geom_size[baker.model.geom("pillar").id, 0] += 0.3
+    text = repr(baker.update())
+    assert "whole bake in " in text and text.endswith(" s, 'pillar', which stands, has changed)")
+    assert "\n" not in text
+
+
+HINGES = """
+<mujoco><worldbody>
+  <geom name="floor" type="box" pos="2 2 -0.1" size="2 2 0.1"/>
+  <body name="flap" pos="1 1 0.5"><joint type="hinge" axis="0 0 1"/><geom size="0.1"/></body>
+  <body name="lid" pos="2 1 0.5">
+    <joint name="hinge_lid" type="hinge" axis="0 0 1"/><geom size="0.1"/>
+  </body>
+  <body name="ball" pos="3 1 0.5"><freejoint/><geom size="0.1"/></body>
+  <body name="arm" pos="3 3 0.5">
+    <joint name="lift" type="slide" axis="0 0 1"/><joint name="turn" type="hinge" axis="0 0 1"/>
+    <geom size="0.1"/>
+  </body>
+</worldbody></mujoco>
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("lid", "'lid' is moved by its joint 'hinge_lid'; it has hinge_lid, lift, turn, joint 0, "),
+        ("flap", "'flap' is moved by its joint 'joint 0'; it has joint 0, hinge_lid, lift, turn, "),
+        ("ball", "'ball' is a body with a free joint, write bodies={'ball': [x, y, z]}"),
+        ("arm", "it has hinge_lid, lift, turn, joint 0, joint 2"),
+        ("hinge_lad", "did you mean 'hinge_lid'? it has hinge_lid, lift, turn, joint 0, joint 2"),
+    ],
+)
+def test_a_joint_that_is_not_there_is_told_with_that_of_its_body(name, hint):
+    baker = navbake.Baker(mujoco.MjModel.from_xml_string(HINGES))
+    with pytest.raises(navbake.QueryError) as caught:
+        baker.update(joints={name: 0.1})
+    assert f"no joint {name!r} in the scene: {hint}" in str(caught.value)
+    assert (caught.value.key, caught.value.value) == ("joints", name)
+
+
 BAD = {
     "no body 'chiar'.*did you mean 'chair'": {"bodies": {"chiar": [0, 0, 0]}},
     "pose of body 'chair', got NaN": {"bodies": {"chair": [0, np.nan, 0]}},

@@ -288,6 +288,7 @@ def test_joints_on_top_of_a_keyframe(load):
         ({"keyframe": 2}, "no keyframe 2 for `scene.keyframe`: .*scene.xml has 2 of them"),
         ({"keyframe": "shut"}, "no keyframe 'shut' .* has open"),
         ({"joints": {"hinje": 1}}, "no joint 'hinje' .* has hinge, slide, ball, free"),
+        ({"joints": {"a": 1}}, "no joint 'a' .*: 'a' is moved by its joint 'hinge'; "),
         ({"joints": {"hinge": [1, 2]}}, r"1 number \[rad\] at `scene.joints.hinge`, got 2"),
         ({"joints": {"slide": []}}, r"expected 1 number \[m\] at `scene.joints.slide`, got 0"),
         ({"joints": {"ball": 1}}, "expected 4 numbers .* at `scene.joints.ball`, got 1"),
