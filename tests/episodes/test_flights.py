@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 from functools import cache
@@ -285,6 +286,6 @@ def test_measures_end_where_their_finder_moves_to_other_voxels():
     finder = make_flight_finder(content, scatter())
     episode = content.episodes[0]
     measures = FlightMeasures(finder, episode)
-    finder.use(scatter())
+    finder.use(copy.copy(scatter()))
     with pytest.raises(QueryError, match="the finder has changed its grid"):
         measures.step(episode.start)
