@@ -12,6 +12,7 @@ from navbake.baker.bake.boxes import LevelBoxes
 from navbake.baker.bake.lattice import MAX_EXTENSION
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.doors.doors import warn_doors
+from navbake.baker.floors.below_grounds import MAX_GROUND_ERROR
 from navbake.baker.floors.levels import Floors
 from navbake.baker.floors.outline import mark_cropped_sides
 from navbake.baker.floors.reach import REPORTED_AREA
@@ -23,7 +24,7 @@ from navbake.baker.scene.names import body_name
 from navbake.baker.scene.scene import Scene
 from navbake.config.settings import BakeConfig
 from navbake.errors import printable
-from navbake.lengths import format_length
+from navbake.lengths import format_coordinate, format_length, format_position
 from navbake.navgrid.lattice import Lattice
 from navbake.navgrid.rooms import has_building
 from navbake.types import Bool, Float, Int
@@ -35,9 +36,6 @@ ROWS_PER_CHUNK = 64  # rows of a level that are searched together for a free cel
 MAX_LISTED_UNREACHED_LEVELS = 5
 # A room outdoors with more than this fraction of the area of all rooms is warned of
 YARD_SHARE = 0.75
-# A configured ground may have been set too high by a slab's thickness: a floor up to this far below
-# it may be the one that was meant [m]
-MAX_GROUND_ERROR = 0.5
 MIN_HOLE_AREA = 0.05  # smaller holes in a mesh aren't counted in a warning [m²]
 MAX_NAMED_BODIES = 3  # movable bodies that a warning names
 # Cells are too coarse where they are larger than `MAX_BUILDING_CELL` and the scene is narrower than
@@ -158,6 +156,7 @@ def warn_of_structure(
         *_warn_cropped(config, floor_lattice, scene),
         *_warn_patches(floors, scene, PATCH_WARNINGS_BEFORE_GROUNDS),
         *_warn_high_grounds(config, floors),
+        *_warn_floors_below_grounds(floors, scene),
         *_warn_patches(floors, scene, PATCH_WARNINGS_AFTER_GROUNDS),
         *_warn_holes(config, hole_areas),
         *_warn_hidden_ground(config, floors, scene),
@@ -374,6 +373,27 @@ def _warn_high_grounds(config: BakeConfig, floors: Floors) -> Iterator[str]:
                 f"one of {area:.1f} m² lies {depth:.2f} m below it and is on another level; "
                 f"`ground: {level.ground - depth:.6g}` in `levels` takes it in"
             )
+
+
+def _warn_floors_below_grounds(floors: Floors, scene: Scene) -> Iterator[str]:
+    """Warn of floors that are on no level, because the ground in the setting `levels` is higher.
+
+    Args:
+        floors: the levels, and the floors below their grounds.
+        scene: the posed scene, for the names of geoms.
+    """
+    name_of_ground = {level.ground: level.name for level in floors.levels}
+    for floor in floors.floors_below_grounds:
+        patch = floor.patch
+        ground_text = f"{format_length(floor.ground)} m"
+        if floor.ground in name_of_ground:  # the level may lie outside of `grid.bounds`
+            ground_text += f" of {name_of_ground[floor.ground]!r}"
+        yield (
+            f"on no level, because it lies below the ground {ground_text}: {patch.area:.1f} m² of "
+            f"floor, from {format_length(floor.lower_ground)} m up, most of it on "
+            f"{scene.geoms[patch.geom].name!r}, as at {format_position(patch.position)}; "
+            f"`ground: {format_coordinate(floor.lower_ground)}` in `levels` takes it in"
+        )
 
 
 def _warn_unreached(floors: Floors, baked_pose: BakedPose) -> Iterator[str]:

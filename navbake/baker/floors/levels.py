@@ -16,6 +16,7 @@ from navbake.baker.columns.columns import ColumnSource
 from navbake.baker.core.components import label_components_2d
 from navbake.baker.core.tolerances import LIMIT_SLACK
 from navbake.baker.core.windows import Window, crop_cells
+from navbake.baker.floors.below_grounds import FloorBelowGround, find_floors_below_grounds
 from navbake.baker.floors.growth import (
     find_listed_steps,
     grow_levels,
@@ -102,6 +103,8 @@ class Floors:
             upright there, the largest first.
         surfaces_without_level: surfaces that are on no level, because their columns have more
             surfaces than there are levels.
+        floors_below_grounds: floors that are on no level, because they lie a little below the
+            ground of a level of the configuration.
     """
 
     levels: list[LevelFloor]
@@ -115,6 +118,7 @@ class Floors:
     enclosed_by_planes: list[Patch]
     voids: list[Patch]
     surfaces_without_level: list[Patch]
+    floors_below_grounds: list[FloorBelowGround]
 
 
 def find_floors(
@@ -354,6 +358,7 @@ def _assign_floors(
         enclosed_by_planes=[patch for patch in enclosed_floors if patch.geom in plane_geoms],
         voids=reached_levels.voids,
         surfaces_without_level=assignment.surfaces_without_level,
+        floors_below_grounds=reached_levels.floors_below_grounds,
     )
     return AssignedFloors(assignment, floors)
 
@@ -367,12 +372,15 @@ class ReachedLevels(NamedTuple):
         removed_floors: floors that `floors.reach: steps` leaves out, the largest first.
         voids: floors of levels that are left out because no path leads to them and nobody can stand
             upright there, the largest first.
+        floors_below_grounds: floors that are on no level, because they lie a little below the
+            ground of a level of the configuration.
     """
 
     assignment: LevelAssignment
     is_reached: Bool
     removed_floors: list[Patch]
     voids: list[Patch]
+    floors_below_grounds: list[FloorBelowGround]
 
 
 def find_reached_levels(
@@ -450,7 +458,15 @@ def find_reached_levels(
         removed_floors = describe_regions(regions, is_removed, height_ranges)
     else:
         voids = describe_regions(regions, reached_regions.is_void)
-    return ReachedLevels(assignment, reached_regions.is_reached, removed_floors, voids)
+    return ReachedLevels(
+        assignment,
+        is_reached=reached_regions.is_reached,
+        removed_floors=removed_floors,
+        voids=voids,
+        floors_below_grounds=find_floors_below_grounds(
+            regions, is_included, level_settings or (), settings
+        ),
+    )
 
 
 def fill_holes(level: LevelFloor, max_cells: float, is_occupied: OccupancyTest) -> LevelFloor:
@@ -546,6 +562,9 @@ def crop_floors(floors: Floors, window: Window) -> Floors:
         enclosed_by_planes=crop_patches(floors.enclosed_by_planes),
         voids=crop_patches(floors.voids),
         surfaces_without_level=crop_patches(floors.surfaces_without_level),
+        floors_below_grounds=[
+            floor for floor in floors.floors_below_grounds if _is_inside(floor.patch, window, width)
+        ],
     )
 
 

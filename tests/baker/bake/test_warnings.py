@@ -257,3 +257,81 @@ def test_a_ground_that_is_a_little_too_high_is_told(tmp_path, ground):
     ]
     [unreached] = [text for text in found if "no step leads to 'up'" in text]
     assert "36.0 m² at 5.60 m" in unreached
+
+
+def floors_below_grounds(tmp_path, geoms, levels, **settings):
+    """What a bake tells of floors below grounds, and the area of all its floors [m²]."""
+    (tmp_path / "a.xml").write_text(world(geoms))
+    settings |= {"scene": {"path": str(tmp_path / "a.xml")}, "levels": levels}
+    result = run_bake(parse_config(settings))
+    area = sum(np.isfinite(level.floor_height).sum() for level in result.grid.levels) * 0.01
+    return [text for text in result.warnings if "because it lies below the ground" in text], area
+
+
+YARD = box("yard", -5, -5, -1, 5, 5, -0.05) + box("slab", -2, -2, -1, 2, 2, 0.05)
+
+
+@pytest.mark.parametrize("ground", [0.05, 0.0, -0.02, -0.031, -0.029, -0.05, -3.0])
+def test_floor_a_little_below_a_given_ground_is_told(tmp_path, ground):
+    """The ground that the warning names takes in as much floor as it says; up to 2 cm all do."""
+    told, area = floors_below_grounds(tmp_path, YARD, [{"ground": ground, "name": "down"}])
+    if ground <= -0.03:
+        assert told == [] and area == pytest.approx(100)
+        return
+    assert told == [
+        f"on no level, because it lies below the ground {ground:.2f} m of 'down': 84.0 m² of "
+        "floor, from -0.05 m up, most of it on 'yard', as at -0.05, 2.05, -0.05; `ground: -0.05` "
+        "in `levels` takes it in"
+    ]
+    assert area == pytest.approx(100 - 84)
+    assert floors_below_grounds(tmp_path, YARD, [{"ground": -0.05}])[0] == []
+
+
+def test_the_lowest_floor_below_a_ground_says_which_ground_takes_it_in(tmp_path):
+    """Under an upper storey with floors 5 and 20 cm lower, below which the level below ends."""
+    storeys = box("", -6, -3, -0.2, 6, 3, 0) + box("", -6, -3, 5.6, 6, 3, 5.8)
+    storeys += box("", -6, -3, 2.5, -2, 3, 2.85) + box("", -2, -3, 2.5, 2, 3, 2.8)
+    storeys += box("bath", 2, -3, 2.5, 6, 3, 2.65)
+    levels = [{"ground": 0, "top": 2.4}, {"ground": 2.85, "top": 5}]
+    [told], area = floors_below_grounds(tmp_path, storeys, levels)
+    assert "below the ground 2.85 m of 'level 1': 48.0 m² of floor, from 2.65 m up" in told
+    levels[1]["ground"] = 2.65
+    assert floors_below_grounds(tmp_path, storeys, levels) == ([], pytest.approx(area + 48))
+    levels[0]["top"] = 2.7  # the bath is above no ground, and below where the level may begin
+    levels[1]["ground"] = 2.85
+    [told], _ = floors_below_grounds(tmp_path, storeys, levels)
+    assert "24.0 m² of floor, from 2.80 m up" in told and "`ground: 2.8`" in told
+    del levels[0]["top"]  # now what lies below the ground is on the level below
+    assert floors_below_grounds(tmp_path, storeys, levels)[0] == []
+
+
+STAIR = "".join(box("", 0.28 * k, -1, -3, 0.28 * (k + 1), 1, -2.7 + 0.18 * k) for k in range(15))
+RAMP = '<geom type="box" size="13.5 1 .05" euler="0 -5.7106 0" pos="13.44 0 -1.4"/>'  # one in ten
+
+
+@pytest.mark.parametrize("way", [STAIR, RAMP])
+def test_a_storey_that_is_left_out_is_not_told_of(tmp_path, way):
+    """Neither the cellar nor the stair or the ramp that leads up from it, 2 m wide."""
+    cellar = box("", -6, -4, -3, 40, 4, -2.7) + way
+    end = 4.2 if way is STAIR else 26.8
+    upper = box("", end, -4, -0.1, 40, 4, 0) + box("", -6, 1, -0.1, end, 4, 0)
+    told, area = floors_below_grounds(tmp_path, cellar + upper, [{"ground": 0.0, "top": 2}])
+    assert told == [] and area > 40
+    told, area_of_both = floors_below_grounds(
+        tmp_path, cellar + upper, [{"ground": -2.7}, {"ground": 0.0}]
+    )
+    assert told == [] and area_of_both > area + 50
+
+
+def test_what_no_rule_keeps_is_not_told_as_floor_below_a_ground(tmp_path):
+    """A table, what no step leads to where such floors are left out, and a strip of floor."""
+    table = FLOOR + box("table", -1, -1, 0, 1, 1, 0.8)
+    hall = box("", 5, -2, 1, 9, 2, 1.1)
+    levels = [{"ground": -0.1, "top": 0.5}, {"ground": 1.0}]
+    assert floors_below_grounds(tmp_path, table + hall, levels)[0] == []
+    apart = box("", -9, -2, 0.7, -4, 2, 0.8)
+    assert len(floors_below_grounds(tmp_path, table + hall + apart, levels)[0]) == 1
+    reach = {"reach": "steps", "from": [[7, 0, 1.1]]}
+    assert floors_below_grounds(tmp_path, table + hall + apart, levels, floors=reach)[0] == []
+    strip = FLOOR + box("", 2, -2, -1, 2.5, 2, -0.1)
+    assert floors_below_grounds(tmp_path, strip, [{"ground": 0.0}])[0] == []

@@ -15,6 +15,7 @@ from box_worlds import box, world
 from navbake.baker.bake.lattice import extend_lattice
 from navbake.baker.bake.pipeline import BakeResult, run_bake
 from navbake.baker.bake.stages import bake_stages
+from navbake.baker.floors.below_grounds import FloorBelowGround
 from navbake.baker.floors.levels import Floors, LevelFloor, crop_floors
 from navbake.baker.floors.reach import UnreachedFloors
 from navbake.baker.floors.regions import Patch
@@ -171,13 +172,17 @@ def test_levels_and_steps_of_a_window_are_numbered_anew():
     cells = np.array([[0, 4], [4, 5]])
     patches = [Patch(0, 1.0, (0.0, 0.0, 0.0), cells[k]) for k in (0, 1)]
     unreached = [UnreachedFloors(level, patches[1], True) for level in (1, 2)]
-    scene_floors = Floors(levels, steps, patches, [], [], unreached, [], patches[:1], [], [], [])
+    low = [FloorBelowGround(3.0, 2.9, patch) for patch in patches]
+    scene_floors = Floors(
+        levels, steps, patches, [], [], unreached, [], patches[:1], [], [], [], low
+    )
     window = crop_floors(scene_floors, (slice(0, 2), slice(1, 4)))
     assert [level.name for level in window.levels] == ["level 0", "level 1", "attic"]
     assert [level.ground for level in window.levels] == [0, 6, 9]
     assert window.steps.tolist() == [[0, 0, 1, 1], [1, 4, 2, 5]]
     assert window.tops == patches[1:] and window.enclosed_by_meshes == []
     assert [part.level for part in window.unreached_floors] == [1]
+    assert window.floors_below_grounds == low[1:]
     np.testing.assert_array_equal(window.levels[1].floor, floor[:, 1:] + 6)
     nowhere = replace(scene_floors, levels=[replace(level, standable=first) for level in levels])
     with pytest.raises(SceneError, match="no floor lies inside"):
