@@ -84,7 +84,7 @@ def list_level_height_ranges(level_settings: Sequence[LevelSettings]) -> list[He
     """Return the range of heights in which each level of the configuration may have a floor.
 
     A range begins `CONFIGURED_GROUND_TOLERANCE` below the level's ground. It ends at the level's
-    top, or where the range of the next level begins, if that is lower.
+    top, or where the range of the next level begins, if that is lower; all within `LIMIT_SLACK`.
 
     Args:
         level_settings: the levels of the configuration, lowest first.
@@ -100,7 +100,7 @@ def list_level_height_ranges(level_settings: Sequence[LevelSettings]) -> list[He
         if level_setting.top is not None:
             top = min(top, level_setting.top)
         lowest_height = level_setting.ground - CONFIGURED_GROUND_TOLERANCE
-        height_ranges.append(HeightRange(lowest_height, top - LIMIT_SLACK))
+        height_ranges.append(HeightRange(lowest_height - LIMIT_SLACK, top - LIMIT_SLACK))
     return height_ranges
 
 
@@ -283,7 +283,7 @@ def assign_levels(
         regions=regions,
         candidates=candidates,
         stacked_blocks=stacked_blocks,
-        tolerance=CONFIGURED_GROUND_TOLERANCE if level_settings else LIMIT_SLACK,
+        tolerance=LIMIT_SLACK + (CONFIGURED_GROUND_TOLERANCE if level_settings else 0.0),
         agent=agent,
         settings=settings,
     )

@@ -335,3 +335,12 @@ def test_what_no_rule_keeps_is_not_told_as_floor_below_a_ground(tmp_path):
     assert floors_below_grounds(tmp_path, table + hall + apart, levels, floors=reach)[0] == []
     strip = FLOOR + box("", 2, -2, -1, 2.5, 2, -0.1)
     assert floors_below_grounds(tmp_path, strip, [{"ground": 0.0}])[0] == []
+
+
+@pytest.mark.parametrize("depth", [0.0, 4e-7, 9e-7, -4e-7])
+def test_a_floor_where_one_given_level_ends_and_the_next_begins_is_on_one(tmp_path, depth):
+    """It was on none if it lay up to a micrometre deeper, as rounding may lay it."""
+    storeys = box("", -3, -3, -0.2, 3, 3, 0) + box("", -3, -3, 2.6, 3, 3, 2.83 - depth)
+    levels = [{"ground": 0.0}, {"ground": 2.85, "top": 5}]
+    told, area = floors_below_grounds(tmp_path, storeys, levels)
+    assert told == [] and area == pytest.approx(72)
