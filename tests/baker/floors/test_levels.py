@@ -419,6 +419,16 @@ def test_boxes_of_levels_do_not_overlap_in_height(bake):
     assert high0 < low1 == pytest.approx(high0, abs=2e-6) and high1 >= 5.9 - 1e-9
 
 
+@pytest.mark.parametrize(("width", "ground"), [(1.0, 0.0), (1.4, 0.1)])
+def test_ground_is_the_commonest_height_of_the_floor_that_is_left_after_shrinking(
+    bake, width, ground
+):
+    """The long walk has more floor than the room, but where it is narrow, less of it is left."""
+    room = box(0, 4, 0, 4, -0.2, 0)
+    walk = box(5, 25, 0, width, -0.2, 0.1)
+    assert grounds(bake([room, walk])) == [ground]
+
+
 def test_given_levels(bake):
     scene = [FLOOR, box(0, 10, 0, 8, 2.7, 3), box(0, 10, 0, 8, 5.7, 6)]
     levels = [{"ground": 0.0, "name": "ground floor"}, {"ground": 3.0, "top": 5.0}]
