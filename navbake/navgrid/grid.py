@@ -120,7 +120,7 @@ class GridBase(GridMethods):
 
     def describe_radius(self) -> str:
         """Describe the grid's radius in words, and whether it comes from a bake or an inflation."""
-        verb = "inflated" if self.inflated_radius else "baked"
+        verb = "inflated" if self.exact_inflations else "baked"
         return f"{verb} for a radius of {self.radius:g} m"
 
     @property
@@ -183,9 +183,10 @@ class GridBase(GridMethods):
     def radius(self) -> float:
         """The agent's radius [m].
 
-        `inflated_radius`, or `agent_radius` if `inflated_radius` is 0.
+        `inflated_radius` if the grid was inflated in mode ``exact``, also for 0 m; else
+        `agent_radius`.
         """
-        return self.inflated_radius or self.agent_radius
+        return self.inflated_radius if self.exact_inflations else self.agent_radius
 
     @property
     def max_step(self) -> float:

@@ -155,6 +155,12 @@ def test_a_costmap_has_the_costs_of_nav2s_formula(tmp_path, mode):
             assert data[level.height - 1 - row, col] == value
 
 
+def test_a_map_for_a_point_states_no_radius(tmp_path):
+    sample("house").to_nav2(tmp_path / "a.yaml", radius=0.0, level=0)
+    assert "radius" not in yaml.safe_load((tmp_path / "a.yaml").read_text())["navbake"]
+    assert navbake.from_nav2(tmp_path / "a.yaml").radius == 0.0
+
+
 @pytest.mark.parametrize("radius", [None, 0.3])
 def test_a_map_comes_back_inflated_for_the_radius_of_its_cells(tmp_path, radius):
     flat = sample("apartment")

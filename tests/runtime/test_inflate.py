@@ -322,6 +322,15 @@ def test_metadata_tell_what_was_done_and_all_else_stays():
     assert first_difference(again, inflated) is None
 
 
+def test_a_grid_that_is_inflated_for_a_point_has_no_radius():
+    level = level_of("0000#0000")
+    level.metadata["agentRadius"] = 0.2
+    assert level.describe_radius() == "baked for a radius of 0.2 m"
+    point = level.inflate(0.0)
+    assert (point.radius, point.agent_radius) == (0.0, 0.2)
+    assert point.describe_radius() == "inflated for a radius of 0 m"
+
+
 def test_a_grid_that_stays_inflated_for_more_says_so(recwarn):
     level = level_of("0000#0000")
     level.metadata["sceneId"] = "hall"
