@@ -276,6 +276,8 @@ def make_cell_table(facts: Json) -> Table:
     """
     blocked_text = "no floor here" if facts["floor"] is None else "blocked"
     verdict = "an agent can stand here" if facts["free"] else blocked_text
+    if facts["lower_than_step"]:
+        verdict += ", as what is lower than a step is no obstacle"
     value_by_fact = {"verdict": verdict, "blocked by": facts["blockers"], **list_cell_facts(facts)}
     rows = []
     for name, value in value_by_fact.items():

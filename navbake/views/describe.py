@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +40,8 @@ STEEP_RAMP = "steep"
 # largest distance of an arc from its straight line, relative to the length of the line
 ARC_BULGE = 0.15
 NUM_ARC_POINTS = 17  # number of points of an arc
+BOX_ROUNDING = 2e-4  # a file rounds boxes outwards to 0.1 mm, and floors to float32 [m]
+LEAST_RISE = 1e-3  # a thing whose top is nearer than this to the floor carries it [m]
 
 
 def describe(grid: NavGrid) -> Json:
@@ -160,6 +162,9 @@ def describe_cell(grid: NavGrid, position: ArrayLike, level: int | None = None) 
         - ``links``: the names of the links that have a stop in the cell
         - ``doors``, ``objects``, ``walls``: names of what stands in the cell
         - ``blockers``: names of what blocks the cell, as far as they are known
+        - ``lower_than_step``: names of what rises over the floor of a free cell by no more than the
+          step that the grid was baked for, so that it is no obstacle, as far as the file has the
+          heights of things
 
     Raises:
         QueryError: the level does not exist, or the position is not valid or in no cell.
@@ -187,6 +192,10 @@ def describe_cell(grid: NavGrid, position: ArrayLike, level: int | None = None) 
         # a file lists blockers only where they differ from all occupants of the cell
         blockers = sorted(names_in(user_data, "blockers"))
         blockers = blockers or sorted(set().union(*occupants.values()))
+    lower_than_step = []
+    if place.free and place.floor is not None:
+        names = sorted(set().union(*occupants.values()))
+        lower_than_step = _find_lower_than_step(grid, names, place.floor)
     return {
         "level": level_number,
         "row": row,
@@ -207,7 +216,24 @@ def describe_cell(grid: NavGrid, position: ArrayLike, level: int | None = None) 
         ],
         **occupants,
         "blockers": blockers,
+        "lower_than_step": lower_than_step,
     }
+
+
+def _find_lower_than_step(grid: NavGrid, names: Sequence[str], floor: float) -> list[str]:
+    """Return which things rise over a floor, and by no more than the grid's highest step.
+
+    Args:
+        grid: the grid.
+        names: names of the things; those whose box the file doesn't have are left out.
+        floor: world z of the floor [m].
+    """
+    boxes = grid.name_boxes
+    return [
+        name
+        for name in names
+        if name in boxes and LEAST_RISE < boxes[name][5] - floor <= grid.max_step + BOX_ROUNDING
+    ]
 
 
 def _describe_room(grid: NavGrid, level: int, room_index: int) -> Json | int | None:

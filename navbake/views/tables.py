@@ -284,4 +284,5 @@ def list_cell_facts(facts: Json) -> dict[str, str | list[str]]:
         **({"area": facts["area"]} if facts["area"] else {}),
         **({"links": facts["links"]} if facts["links"] else {}),
         **{key: facts[key] for key in ("doors", "objects", "walls")},
+        **({"lower than a step": facts["lower_than_step"]} if facts.get("lower_than_step") else {}),
     }

@@ -187,6 +187,19 @@ def test_furniture_is_named_by_its_body_and_lamps_above_block_nothing(grid):
         assert grid.blockers((x, y)) == entry["blockers"]
 
 
+def test_things_in_a_free_cell_that_are_lower_than_a_step_are_named():
+    """Not what carries the floor, hangs over it, or has no box in the file."""
+    tops = {"rug": 0.0, "cable": 0.02, "crate": 0.25, "chest": 0.4, "lamp": 2.0}
+    boxes = {name: [0.0, 0.0, -0.1, 1.0, 1.0, top] for name, top in tops.items()}
+    level = make_level([[1, 0]], [[0.0, 0.0]], metadata=HOUSE | {"navbake": {"boxes": boxes}})
+    names = {"objects": [*tops, "unknown"]}
+    level.user_data = {0: names, 1: names}
+    assert level.describe_cell((0.25, -0.25))["lower_than_step"] == ["cable", "crate"]
+    assert level.describe_cell((0.75, -0.25))["lower_than_step"] == []  # it is blocked
+    level.metadata["traversableFloorHeight"] = 0.1
+    assert level.describe_cell((0.25, -0.25))["lower_than_step"] == ["cable"]
+
+
 def test_every_occupied_cell_with_a_floor_says_what_blocks_it(grid):
     level = grid.levels[0]
     for row, col in zip(*((level.occupancy == 1).nonzero()), strict=True):
