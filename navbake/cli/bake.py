@@ -141,7 +141,7 @@ def geoms(
     options.say_if_sample(config)
     scene = load_scene(settings)
     print_warnings(scene.warnings)
-    keys = ("id", "name", "body", "type", "counted", "shape", "role", "reason")
+    keys = ("id", "name", "body", "type", "group", "counted", "shape", "role", "reason")
     geom_facts = [{key: getattr(geom, key) for key in keys} for geom in scene.geoms]
     add_facts(scene_id=scene.id, geoms=geom_facts)
     num_counted = sum(geom.counted for geom in scene.geoms)
@@ -151,6 +151,7 @@ def geoms(
             geom.name,
             geom.body,
             geom.type,
+            geom.group,
             "yes" if geom.counted else "no",
             geom.shape,
             geom.role,
@@ -158,8 +159,8 @@ def geoms(
         )
         for geom in scene.geoms
     ]
-    headings = ("id", "geom", "body", "type", "counted", "as", "role", "why")
-    printing.print_tables(make_table(headings, rows, numbers=("id",)))
+    headings = ("id", "geom", "body", "type", "group", "counted", "as", "role", "why")
+    printing.print_tables(make_table(headings, rows, numbers=("id", "group")))
     say(f"{num_counted} geoms counted, {len(scene.geoms) - num_counted} left out")
 
 

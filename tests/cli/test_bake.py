@@ -301,9 +301,19 @@ def test_geoms_as_json(folder, run):
     assert facts["scene_id"] == "room"
     assert [geom["name"] for geom in facts["geoms"]] == ["floor", "wall [b]", "shade"]
     assert all(geom["counted"] for geom in facts["geoms"])
-    keys = {"id", "name", "body", "type", "counted", "shape", "role", "reason"}
+    keys = {"id", "name", "body", "type", "group", "counted", "shape", "role", "reason"}
     assert set(facts["geoms"][0]) == keys
     assert {geom["role"] for geom in facts["geoms"]} == {"structure"}
+
+
+def test_geoms_say_their_group(folder, run):
+    geoms = '<geom name="floor" size="1"/><geom name="hidden" size="1" group="3"/>'
+    (folder / "groups.xml").write_text(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
+    facts = json.loads(run("geoms", "groups.xml", "--json", "--set", "scene.geoms=visual")[1])
+    assert [(geom["group"], geom["counted"]) for geom in facts["geoms"]] == [(0, True), (3, False)]
+    header, _, row = run("geoms", "groups.xml")[1].splitlines()[:3]
+    assert header.split()[:5] == ["id", "geom", "body", "type", "group"]
+    assert row.split()[4] == "3"
 
 
 def test_geoms_say_what_can_move(folder, run):

@@ -436,7 +436,8 @@ def _mark_by_sites(
         warnings = [
             *warnings,
             f"sites that hold less than {settings.min_area:g} m² of floor (`rooms.min_area`) are "
-            f"no rooms: {names_text}{ellipsis}",
+            f"no rooms: {names_text}{ellipsis}; make each site as large as its room, or draw the "
+            "room in `rooms.polygons`",
         ]
     return MarkedRooms(room_names, labels, warnings)
 

@@ -91,6 +91,7 @@ class GeomReport(NamedTuple):
             were turned to face out.
         reason: why it is counted or left out.
         role: one of `roles.ROLE_NAMES`; empty if it isn't counted.
+        group: its group in MuJoCo, 0 to 5.
     """
 
     id: int
@@ -101,6 +102,7 @@ class GeomReport(NamedTuple):
     shape: str
     reason: str
     role: str = ""
+    group: int = 0
 
 
 @dataclass
@@ -439,6 +441,7 @@ def _check_any_counts(
 
 def _report_geoms(model: mujoco.MjModel, counted_geoms: CountedGeoms) -> list[GeomReport]:
     geom_types = model.geom_type.tolist()
+    groups = model.geom_group.tolist()
     roles = counted_geoms.roles.roles
     reports = []
     for geom, names in enumerate(all_names(model).geoms):
@@ -453,6 +456,7 @@ def _report_geoms(model: mujoco.MjModel, counted_geoms: CountedGeoms) -> list[Ge
                 shape=counted_geoms.shape_kinds.get(geom, ""),
                 reason=selection.reason,
                 role=ROLE_NAMES[roles[geom]],
+                group=groups[geom],
             )
         )
     return reports

@@ -228,7 +228,7 @@ def test_markers_are_no_rooms(tmp_path):
     (warning,) = result.warnings
     assert warning.startswith("sites that hold less than 1 m² of floor")
     assert "room_0, room_1" in warning
-    assert "…" in warning
+    assert "…; make each site as large as its room, or draw the room" in warning
 
 
 # ---------------------------------------------------------------- polygons
