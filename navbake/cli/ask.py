@@ -13,11 +13,11 @@ from typer import BadParameter, Exit, Option
 import navbake
 from navbake.cli import completion, options, printing
 from navbake.cli.options import (
-    DOORS_OPTION,
     LEVEL_OPTION,
     OUTPUT_FLAGS,
     PLACE,
     PLACE_HELP,
+    DoorStates,
     GridFile,
     argument,
     option,
@@ -172,7 +172,7 @@ def path(
         default=...,
         completion=completion.list_goals,
     ),
-    doors: str | None = DOORS_OPTION,
+    doors: DoorStates = None,
     radius: float | None = RADIUS_OPTION,
     smooth: bool = Option(True, help="Straighten the path, or follow the cells' centres."),
     output: Path | None = option(
@@ -230,11 +230,11 @@ def path(
     planned_path = finder.find_path(start_position, goal, by=by, smooth=smooth)
     reason = None if planned_path else finder.why_not(start_position, goal)
     if reason and doors is None and _can_open_doors(grid_as_in_file):
-        grid_with_open_doors = _adapt_grid(grid_as_in_file, "open", radius)
+        grid_with_open_doors = _adapt_grid(grid_as_in_file, ["open"], radius)
         if navbake.PathFinder(grid_with_open_doors, agent=agent).find_path(
             start_position, goal, by=by
         ):
-            reason += "; `--doors open` opens all doors"
+            reason += "; `--doors open` opens all doors, `--doors NAME=open` one"
     path_facts = {key: getattr(planned_path, key) for key in PATH_FIELDS} if planned_path else None
     add_facts(scene_id=nav_grid.scene_id, path=path_facts, reason=reason)
     with options.keep_stdout_for(output):
@@ -268,7 +268,7 @@ def sample(
     room: str | None = option(
         "NAME", "Draw in this room only, by id or name.", completion=completion.list_rooms
     ),
-    level: int | None = LEVEL_OPTION,
+    level: str | None = LEVEL_OPTION,
     outdoors: bool = Option(True, help="Also in rooms that are outdoors, or indoors alone."),
     spread: float | None = option(
         "METRES", "At least so far from each other [m].  [default: any distance]", min=0.0
@@ -284,11 +284,14 @@ def sample(
     import numpy as np  # --help does without it
 
     nav_grid = navbake.load(grid)
+    level_number = options.find_level(nav_grid, level)
     nav_grid = _adapt_grid(nav_grid, None, radius)
     finder = navbake.PathFinder(nav_grid)
     rng = np.random.default_rng(seed)
     if spread is None:
-        positions = finder.random_point(rng, count, room=room, level=level, outdoors=outdoors)
+        positions = finder.random_point(
+            rng, count, room=room, level=level_number, outdoors=outdoors
+        )
         headings = rng.uniform(-math.pi, math.pi, count)
     else:
         room_names = None if room is None else [room]
@@ -298,24 +301,24 @@ def sample(
             if not room_names:
                 raise QueryError(f"no room of {nav_grid.scene_id!r} is indoors")
         positions, headings = finder.spawn(
-            rng, count, rooms=room_names, level=level, min_distance=spread
+            rng, count, rooms=room_names, level=level_number, min_distance=spread
         )
     cells = [finder.cell_at(position) for position in positions]
     levels = [cell.level for cell in cells if cell is not None]
     room_ids = [finder.room_at(position) for position in positions.tolist()]
     places = [
-        {"position": position, "heading": heading, "level": level, "room": room_id}
-        for position, heading, level, room_id in zip(
+        {"position": position, "heading": heading, "level": place_level, "room": room_id}
+        for position, heading, place_level, room_id in zip(
             positions.tolist(), headings.tolist(), levels, room_ids, strict=True
         )
     ]
     add_facts(scene_id=nav_grid.scene_id, seed=seed, places=places)
     rows = []
-    for position, heading, level, room_id in zip(
+    for position, heading, place_level, room_id in zip(
         positions, headings, levels, room_ids, strict=True
     ):
         number_texts = [format_length(number, 3) for number in (*position, heading)]
-        rows.append([*number_texts, level, room_id])
+        rows.append([*number_texts, place_level, room_id])
     column_names = ("x m", "y m", "z m", "heading rad", "level", "room")
     print_tables(tables.make_table(column_names, rows, column_names[:5]))
 
@@ -343,7 +346,7 @@ def stand(
     start: str | None = option(
         PLACE, "Where the robot is: nearest poses first, where a path leads.", "--from", "--start"
     ),
-    doors: str | None = DOORS_OPTION,
+    doors: DoorStates = None,
     radius: float | None = RADIUS_OPTION,
     output: Path | None = option(
         "JSON|PNG|SVG|PDF", "Write the poses, or draw them where bases can stand.", *OUTPUT_FLAGS
@@ -390,7 +393,7 @@ def stand(
     helps_to_open = False
     is_blocked = bool(poses.why_not) and start is not None
     if is_blocked and doors is None and _can_open_doors(grid_as_in_file):
-        grid_with_open_doors = _adapt_grid(grid_as_in_file, "open", radius)
+        grid_with_open_doors = _adapt_grid(grid_as_in_file, ["open"], radius)
         finder_with_open_doors = navbake.PathFinder(grid_with_open_doors)
         poses_with_open_doors = finder_with_open_doors.stand_poses(targets, count=1, **rules)
         helps_to_open = len(poses_with_open_doors.why_not) < len(poses.why_not)
@@ -414,17 +417,15 @@ def stand(
         raise Exit(1)
 
 
-def _adapt_grid(grid: NavGrid, doors: str | None, radius: float | None) -> NavGrid:
-    """Return a grid with all doors in a state, inflated for an agent's radius.
+def _adapt_grid(grid: NavGrid, doors: list[str] | None, radius: float | None) -> NavGrid:
+    """Return a grid with doors in other states, inflated for an agent's radius.
 
     Args:
         grid: the grid, which is not changed.
-        doors: the state of all doors; None to leave them as they are.
+        doors: values of `--doors`, see `options.set_doors`; None to leave doors as they are.
         radius: the radius [m]; None for no inflation.
     """
-    adapted_grid = grid
-    if doors is not None:
-        adapted_grid = adapted_grid.with_doors(doors)
+    adapted_grid = options.set_doors(grid, doors)
     if radius is not None:
         adapted_grid = adapted_grid.inflate(radius)
     return adapted_grid

@@ -68,6 +68,15 @@ def list_levels(ctx: Context) -> list[str]:
     return [] if grid is None else [str(number) for number in range(len(grid.levels))]
 
 
+def list_door_states(ctx: Context) -> list[str]:
+    """List the states of all doors, and of each door of the command's grid as NAME=STATE."""
+    from navbake.navgrid.rooms import DOOR_STATES  # loads numpy
+
+    grid = _read_grid(ctx)
+    doors = () if grid is None else grid.doors
+    return [*DOOR_STATES, *(f"{door.id}={state}" for door in doors for state in door.states)]
+
+
 def list_rooms(ctx: Context) -> list[str]:
     """List the ids and names of the rooms of the command's grid."""
     grid = _read_grid(ctx)

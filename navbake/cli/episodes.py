@@ -11,7 +11,7 @@ from typer import Argument, BadParameter
 
 import navbake
 from navbake.cli import completion, options
-from navbake.cli.options import DOORS_OPTION, OUTPUT_FLAGS, argument, flag, option
+from navbake.cli.options import OUTPUT_FLAGS, DoorStates, argument, flag, option
 from navbake.cli.printing import (
     add_facts,
     add_files,
@@ -90,7 +90,7 @@ def episodes(
     seed: int = option("N", "Seed of the draw.", default=0, min=0),
     split: list[str] | None = option("NAME=SHARE", "A part of the set. May be repeated."),
     split_by: str | None = option("scene|room", "What is in one part whole.  [default: scene]"),
-    doors: str | None = DOORS_OPTION,
+    doors: DoorStates = None,
     radius: float | None = option("METRES", "Agent's radius; grids are inflated for it [m]."),
     height: float | None = option("METRES", "Agent's height, at most the grid's [m]."),
     speed: float | None = option("M/S", "Agent's speed, as a note [m/s]."),
@@ -216,10 +216,9 @@ def episodes(
     warn_of_few(episode_set, count)
 
 
-def _load_grid(path: Path, doors: str | None) -> NavGrid:
-    """Load a grid, with all doors in a state; None to leave them as they are."""
-    grid = navbake.load(path)
-    return grid if doors is None else grid.with_doors(doors)
+def _load_grid(path: Path, doors: list[str] | None) -> NavGrid:
+    """Load a grid, with its doors in the states of `--doors`; None to leave them as they are."""
+    return options.set_doors(navbake.load(path), doors)
 
 
 def print_draws(episode_set: EpisodeSet, output: Path) -> None:
@@ -341,7 +340,7 @@ def score(
         "What a set of another program calls a scene; {id}=data/{id}.glb names all. May be "
         "repeated.",
     ),
-    doors: str | None = DOORS_OPTION,
+    doors: DoorStates = None,
     partial: bool = flag("--partial", "Leave out episodes without a trajectory."),
     force: bool = flag("--force", "Score on another grid, in other voxels, or for another agent."),
     output: Path | None = option(

@@ -13,11 +13,11 @@ import navbake
 from navbake.cli import completion, options
 from navbake.cli.episodes import SET_FORMATS, convert_episode_set
 from navbake.cli.options import (
-    DOORS_OPTION,
     GRID_SUFFIXES,
     LEVEL_OPTION,
     OUTPUT_FLAGS,
     STDOUT,
+    DoorStates,
     GridFile,
     argument,
     option,
@@ -61,8 +61,8 @@ SCENE_SUFFIXES = XML_SUFFIXES | SDF_SUFFIXES | STAGE_SUFFIXES | {".mjb"}
 def convert(
     source: Annotated[Path, Argument(metavar="IN", help="The file to read.")],
     output: Annotated[Path, Argument(metavar="OUT", help="File to write, - for stdout; not IN.")],
-    level: int | None = LEVEL_OPTION,
-    doors: str | None = DOORS_OPTION,
+    level: str | None = LEVEL_OPTION,
+    doors: DoorStates = None,
     radius: float | None = option("METRES", "Inflate for an agent of this radius first [m]."),
     mode: str | None = option("trinary|scale|raw", "trinary, or with costs.  [default: trinary]"),
     image: str | None = option("pgm|png", "pgm or png.  [default: pgm; png with --mode scale]"),
@@ -196,8 +196,9 @@ def convert(
         raise FormatError(f"{problem}, but {level_file} is there: each level has a file of its own")
     inputs += list_files(source, reader)
     grid = read_with(reader, source, **read_options)
-    if doors is not None:
-        grid = grid.with_doors(doors)
+    if level is not None:
+        given_options["level"] = options.find_level(grid, level)
+    grid = options.set_doors(grid, doors)
     if route:
         inflated_grid = grid if radius is None else grid.inflate(radius)
         given_options["route"] = [_plan_route(inflated_grid, text) for text in route]
@@ -426,8 +427,8 @@ def routes(
     radius: float | None = option(
         "METRES", "Agent's radius [m].  [default: its own, or the grid's]"
     ),
-    level: int | None = LEVEL_OPTION,
-    doors: str | None = DOORS_OPTION,
+    level: str | None = LEVEL_OPTION,
+    doors: DoorStates = None,
     stairs: str | None = option(
         "occupied|free",
         "Lanes over stairs, and on floors beyond them, or none.  [default: free; nav2-route: "
@@ -453,8 +454,8 @@ def routes(
         stairs = "occupied" if "stairs" in writer.closes else "free"
     options.check_output(output, inputs=[grid])
     nav_grid = navbake.load(grid)
-    if doors is not None:
-        nav_grid = nav_grid.with_doors(doors)
+    level_number = options.find_level(nav_grid, level)
+    nav_grid = options.set_doors(nav_grid, doors)
     route_agent = find_agent(nav_grid, agent)
     if radius is not None:
         route_agent = replace(route_agent or Agent(""), radius=radius)
@@ -462,9 +463,9 @@ def routes(
     wheeled_grid = map_losses.close_cells(nav_grid, closed_cells.join_masks())
     with show_progress_bars(str(output), VERBOSITY.quiet) as progress:
         graph = make_routes(wheeled_grid, route_agent, progress)
-    graph = graph if level is None else graph.on_level(level)
+    graph = graph if level_number is None else graph.on_level(level_number)
     options.write_output(encode_routes(graph, output, to), output)
-    losses = map_losses.describe_losses(nav_grid, (), closed_cells, level=level)
+    losses = map_losses.describe_losses(nav_grid, (), closed_cells, level=level_number)
     print_warnings(f"no lanes lead over {loss}" for loss in losses)
     add_facts(
         scene_id=nav_grid.scene_id,
@@ -488,11 +489,10 @@ routes.__doc__ = "\n\n".join(
 
 
 def map_descriptor(
-    level: int | None = option(
-        "N",
-        "Which level; 0 is the lowest.  [default: 0]",
+    level: str | None = option(
+        "N|NAME",
+        "Which level, by number or name; 0 is the lowest.  [default: 0]",
         completion=completion.list_levels,
-        min=0,
     ),
     corner: tuple[float, float] | None = option("X Y", "Lower left [m].  [default: the level's]"),
     rows: int | None = option("N", "Squares up.  [default: the whole level; decoding: 20]", min=1),
@@ -534,11 +534,7 @@ def map_descriptor(
         nav_grid = navbake.load(grid)
         scene_id = nav_grid.scene_id
         levels = nav_grid.levels
-        level_number = level or 0
-        if level_number >= len(levels):
-            raise ConfigError(
-                f"no level {level_number} in {grid}: it has {len(levels)}, counted from 0"
-            )
+        level_number = options.find_level(nav_grid, level) or 0
         square_edge = descriptor.SQUARE_EDGE if square is None else square
         squares = descriptor.place_squares(
             levels[level_number], square=square_edge, corner=corner, shape=shape

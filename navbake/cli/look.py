@@ -46,7 +46,7 @@ def plot(
     output: Path = option(
         "PNG|SVG|PDF", "Picture; - for a PNG on stdout.", *OUTPUT_FLAGS, default=...
     ),
-    level: int | None = LEVEL_OPTION,
+    level: str | None = LEVEL_OPTION,
     layers: list[str] | None = option(
         "LAYER",
         "occupancy, floor, rooms, doors, clearance, island, weights, links or area. May be "
@@ -82,18 +82,19 @@ def plot(
     point_files = [Path(text) for text in points or () if not PLACE_PATTERN.fullmatch(text)]
     options.check_output(output, *options.PICTURE_SUFFIXES, inputs=[grid, *point_files])
     nav_grid = navbake.load(grid)
+    level_number = options.find_level(nav_grid, level)
     layer_names = tuple(layers or DEFAULT_LAYERS)
     options.write_picture(
         nav_grid,
         output,
-        level=level,
+        level=level_number,
         layers=layer_names,
         marks=_read_marks(points or (), nav_grid),
         bounds=view_bounds,
         dpi=dpi,
         titles=not no_title,
     )
-    add_facts(scene_id=nav_grid.scene_id, level=level, layers=layer_names)
+    add_facts(scene_id=nav_grid.scene_id, level=level_number, layers=layer_names)
 
 
 def _parse_bounds(text: str) -> list[float]:

@@ -23,7 +23,7 @@ from typer.core import TyperCommand
 
 from navbake import files, samples
 from navbake.cli import printing
-from navbake.cli.completion import list_levels, list_scenes
+from navbake.cli.completion import list_door_states, list_levels, list_scenes
 from navbake.cli.printing import VERBOSITY, print_error, use_verbosity
 from navbake.errors import ConfigError, NavbakeError, printable
 from navbake.formats.source import write_bytes
@@ -240,9 +240,8 @@ VERBOSE_OPTION = flag("-v", "Print on stderr what is read, done and written, too
 OUTPUT_FLAGS = "-o", "--output"
 """The names of the option for the output file."""
 PICTURE_OPTION = option("PNG|SVG|PDF", "Draw the places; - for a PNG on stdout.", *OUTPUT_FLAGS)
-LEVEL_OPTION = option("N", "Only this level; 0 is the lowest.", completion=list_levels, min=0)
-DOORS_OPTION = option(
-    "modelled|open|closed|removed", "State of all doors.  [default: as in the grid]"
+LEVEL_OPTION = option(
+    "N|NAME", "Only this level, by number or name; 0 is the lowest.", completion=list_levels
 )
 STDOUT = Path("-")
 """The output that stands for stdout."""
@@ -259,6 +258,80 @@ PLACE_PATTERN = re.compile(  # also 1.5 -2, (1.5, -2) and 1.5, -2, level 1
 )
 PYTHON_TYPE = re.compile(r" <[^<>]*>$")
 """The Python type that typer adds to the name of an argument in the help."""
+
+
+def check_door_states(texts: list[str] | None) -> list[str] | None:
+    """Check that each value of `--doors` is a state, or has the form NAME=STATE.
+
+    Whether there is such a door is checked later, by `set_doors`.
+
+    Raises:
+        BadParameter: a value has another form, or its state is none.
+    """
+    if not texts:
+        return None
+    from navbake.navgrid.rooms import DOOR_STATES  # loads numpy
+
+    for text in texts:
+        name, equals_sign, state = text.rpartition("=")
+        if state not in DOOR_STATES or (equals_sign and not name):
+            states_text = " or ".join(DOOR_STATES)
+            raise BadParameter(f"expected {states_text}, or NAME=STATE of one door, got {text!r}")
+    return texts
+
+
+DoorStates = Annotated[
+    list[str] | None,
+    Option(
+        "--doors",
+        metavar="STATE|NAME=STATE",
+        callback=check_door_states,
+        autocompletion=list_door_states,
+        help="State of all doors, or of the door NAME: modelled, open, closed or removed. May be "
+        "repeated; the last one that is about a door counts.  [default: as in the grid]",
+    ),
+]
+
+
+def set_doors(grid: NavGrid, texts: list[str] | None) -> NavGrid:
+    """Return a grid with its doors in the states that `--doors` gives.
+
+    Args:
+        grid: the grid, which is not changed.
+        texts: values of `--doors`, applied in this order: a state of all doors, or NAME=STATE of
+            one. None to leave the doors as they are.
+
+    Raises:
+        QueryError: a door does not exist or can't be in its state, or the grid was inflated.
+    """
+    if not texts:
+        return grid
+    state_by_door: dict[str, str] = {}
+    for text in texts:
+        name, _, state = text.rpartition("=")
+        state_by_door |= {name: state} if name else {door.id: state for door in grid.doors}
+    return grid.with_doors(state_by_door)
+
+
+def find_level(grid: NavGrid, text: str | None) -> int | None:
+    """Return the number of the level that `--level` names.
+
+    Args:
+        grid: the grid.
+        text: the level's number, or its name; None for no level.
+
+    Raises:
+        ConfigError: the grid has no such level.
+    """
+    if text is None:
+        return None
+    names = grid.level_names
+    if text.isdecimal() and int(text) < len(names):
+        return int(text)
+    if text in names:
+        return names.index(text)
+    levels_text = ", ".join(f"{number} ({name})" for number, name in enumerate(names))
+    raise ConfigError(f"no level {text} in {grid.scene_id!r}: it has {levels_text}")
 
 
 def check_output(

@@ -325,6 +325,8 @@ def find_format(
         if (file_format.encode if writing else file_format.read) is not None
     ]
     verb_text = "written" if writing else "read"
+    if writing:
+        _refuse_voxels(os.fsdecode(path), name)
     if name is not None:
         for file_format in usable_formats:
             if file_format.name == name:
@@ -360,3 +362,26 @@ def find_format(
         expected=f"a name that ends as a format that is {verb_text} does",
         hint=hint,
     )
+
+
+def _refuse_voxels(path: str, name: str | None) -> None:
+    """Raise a FormatError if a file that is to be written is one of voxels.
+
+    Args:
+        path: the file.
+        name: the name of its format; None to go by the ending.
+    """
+    for file_format in GRID_FORMATS:
+        if file_format.encode is None and (
+            file_format.name == name
+            or (name is None and path.lower().endswith(file_format.endings))
+        ):
+            output = f"FILE{file_format.endings[0]}" if path == "-" else path
+            hint = f"`navbake voxelize SCENE -o {output}`"
+            raise FormatError(
+                f"{file_format.name} is a format of voxels, which are made of scenes, not of "
+                f"grids: {hint}",
+                path=path,
+                value=file_format.name,
+                hint=hint,
+            )

@@ -130,6 +130,8 @@ def _check_door_states(
     for name, state in states.items():
         if name not in doors:
             hint = suggest(name, sorted(doors))
+            if any(link.name == name for link in grid.links):
+                hint = "it is a link, whose state `with_links` or `--open` and `--close` set"
             raise QueryError(
                 f"no door {name!r} in {grid.scene_id!r}: {hint}", key=name, value=state, hint=hint
             )
@@ -190,6 +192,8 @@ def with_links(grid: AnyGrid, states: Mapping[str, str]) -> AnyGrid:
     for name, state in states.items():
         if name not in link_names:
             hint = suggest(name, link_names)
+            if any(door.id == name for door in grid.doors):
+                hint = "it is a door, whose state `with_doors` or `--doors NAME=STATE` sets"
             raise QueryError(
                 f"no link {name!r} in {grid.scene_id!r}: {hint}", key=name, value=state, hint=hint
             )

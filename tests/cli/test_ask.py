@@ -295,13 +295,49 @@ def test_a_path_may_be_planned_with_all_doors_open(folder, run, plan):
     through_the_door = ("rooms.grid.json", "--from", "1,1.5", "--to", "5,1.5", "--json")
     status, out, _ = plan(*through_the_door)
     assert status == 1
-    assert json.loads(out)["reason"].endswith("is in the way; `--doors open` opens all doors")
+    hint = "is in the way; `--doors open` opens all doors, `--doors NAME=open` one"
+    assert json.loads(out)["reason"].endswith(hint)
     status, out, _ = plan(*through_the_door, "--doors", "open", "--radius", "0.1")
     assert (status, json.loads(out)["path"]["doors"]) == (0, ["leaf"])
     reason = json.loads(plan(*through_the_door, "--doors", "closed")[1])["reason"]
     assert "(closed)" in reason and "--doors" not in reason
     too_wide = json.loads(plan(*through_the_door, "--radius", "0.6")[1])["reason"]
     assert "--doors" not in too_wide
+
+
+def test_the_last_state_of_a_door_counts(folder, run, plan):
+    (folder / "rooms.xml").write_text(world(ROOMS, LEAF))
+    run("bake", "rooms.xml", "-q")
+    through_the_door = ("rooms.grid.json", "--from", "1,1.5", "--to", "5,1.5", "--doors")
+    assert plan(*through_the_door, "leaf=open")[0] == 0
+    assert plan(*through_the_door, "closed", "--doors", "leaf=open")[0] == 0
+    assert plan(*through_the_door, "open", "--doors", "leaf=closed")[0] == 1
+    assert plan(*through_the_door, "leaf=closed", "--doors", "open")[0] == 0
+
+
+def test_a_level_is_named_by_its_number_or_its_name(run, tmp_path):
+    grid = navbake.load(GOLDEN / "house.grid.json.gz")
+    grid.metadata["navbake"]["levels"][1]["name"] = "first floor"
+    grid.save(tmp_path / "house.json")
+    places = [
+        run("sample", tmp_path / "house.json", "-n", 3, "--json", "--level", level)[1]
+        for level in ("first floor", "1")
+    ]
+    assert places[0] == places[1]
+    assert {place["level"] for place in json.loads(places[0])["places"]} == {1}
+
+
+def test_why_names_what_is_lower_than_a_step(folder, run):
+    crate = '<geom type="box" size="0.3 0.3 {half}" pos="1.5 1.5 {half}"/>'
+    for name, half_height in (("low", 0.1), ("high", 0.2)):
+        body = f'<body name="crate"><freejoint/>{crate.format(half=half_height)}</body>'
+        (folder / f"{name}.xml").write_text(world(ROOMS, body))
+        run("bake", f"{name}.xml", "-q")
+    out = run("why", "low.grid.json", "1.5,1.5")[1]
+    assert "verdict            an agent can stand here, as what is lower than a step is" in out
+    assert "lower than a step  crate" in out.splitlines()
+    assert "lower than a step" not in run("why", "high.grid.json", "1.5,1.5")[1]
+    assert "lower than a step" not in run("why", "low.grid.json", "1,1")[1]
 
 
 def test_a_door_between_closed_and_open_is_half_open(run):

@@ -151,3 +151,10 @@ def test_a_table_that_is_null_has_no_links():
 def test_an_unknown_link_or_state_is_named(states, message):
     with pytest.raises(QueryError, match=re.escape(message)):
         house([LIFT, JUMP]).with_links(states)
+
+
+def test_a_link_is_told_from_a_door():
+    with pytest.raises(
+        QueryError, match="no door 'A' in 'house': it is a link, whose state `with_"
+    ):
+        house([LIFT]).with_doors({"A": "open"})
