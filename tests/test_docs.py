@@ -15,6 +15,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import pytest
 import typer
 import yaml
@@ -26,7 +27,9 @@ from command_line import run_command
 from navbake.cli.main import COMMANDS as GROUPS
 from navbake.cli.main import app
 from navbake.config.settings import SECTIONS, parse_config
+from navbake.episodes.sampler import PRESETS
 from navbake.scores import read_trajectories
+from navbake.views.tables import LEVEL_COLUMNS
 from project_paths import ROOT
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -211,6 +214,33 @@ def test_the_page_of_the_command_line_groups_the_commands_as_the_help_does():
         title: [command.__name__.replace("_", "-") for command in commands]
         for title, commands in GROUPS.items()
     }
+
+
+def first_cells_of(text: str, heading: str) -> list[list[str]]:
+    """The first two cells of each row of the table with this heading, without backticks."""
+    table = text.partition(f"{heading}\n")[2].partition("\n\n")[0]
+    rows = [line.strip("|").split("|") for line in table.splitlines()[1:]]
+    return [[cell.strip().strip("`") for cell in row[:2]] for row in rows]
+
+
+def test_the_page_of_the_command_line_lists_the_columns_of_levels():
+    text = (ROOT / "docs" / "command_line.md").read_text()
+    section = text.partition("## What bake and info print\n")[2]
+    listed = [column for column, _ in first_cells_of(section, "| column | meaning |")]
+    assert listed == [*LEVEL_COLUMNS, "rooms"]
+
+
+def test_the_page_of_episodes_lists_all_rules_with_their_defaults():
+    text = (ROOT / "docs" / "episodes.md").read_text()
+    listed = dict(first_cells_of(text, "| rule | default | range, unit | meaning |"))
+    defaults = msgspec.to_builtins(PRESETS["uniform"])
+    del defaults["name"]
+    assert listed.keys() == defaults.keys()
+    for rule, default in listed.items():
+        if default not in ("none", "by the measure"):
+            assert yaml.safe_load(default) == defaults[rule]
+        else:
+            assert not defaults[rule]
 
 
 def test_every_command_is_shown():
