@@ -179,12 +179,13 @@ def convert(
     if "height" in read_options:
         read_options["height"] = _parse_heights(read_options["height"])
     given_options.pop("doors", None)
-    for key in given_options.keys() - {*writer.write_options}:
+    for key in given_options:
+        if key in writer.write_options:
+            continue
         purposes = [f"{form.name} as OUT" for form in GRID_FORMATS if key in form.write_options]
         purposes += [f"{form.name} as IN" for form in GRID_FORMATS if key in form.read_options]
-        option_name = f"--{key.replace('_', '-')}"
-        raise BadParameter(
-            f"does nothing here: it is for {', '.join(purposes)}", param_hint=option_name
+        options.refuse_unused(
+            _option_name(key), True, has_effect=False, purpose=", ".join(purposes)
         )
     if "height" in given_options:
         given_options["height"] = _parse_wall_height(given_options["height"])
@@ -225,7 +226,12 @@ def convert(
 def _refuse_grid_options(given_options: Mapping[str, object]) -> None:
     """Refuse options that are given and that only conversions of grids have."""
     for key in given_options:
-        options.refuse_unused(f"--{key}", True, has_effect=False, purpose="grids")
+        options.refuse_unused(_option_name(key), True, has_effect=False, purpose="grids")
+
+
+def _option_name(key: str) -> str:
+    """Return the name of an option as it is typed: --cut-corners for cut_corners."""
+    return f"--{key.replace('_', '-')}"
 
 
 def _convert_routes(

@@ -88,6 +88,23 @@ class ComponentNumbering(NamedTuple):
     overall_number: Int32
 
 
+class PairRows(NamedTuple):
+    """The rows in which the pairs of a block's components are counted, see `count_row`.
+
+    Attributes:
+        rows: the numbers of two components, the kind of the pair and its count in each row, (n, 4)
+            int64.
+        first_row: index of the block's first row.
+        num_rows: index past the last row written so far.
+        likely_row: index of the row that likely counts the next pair.
+    """
+
+    rows: Int
+    first_row: int
+    num_rows: int
+    likely_row: int
+
+
 @subkernel(**NO_REFCOUNT)
 def count_row(rows, first_row, num_rows, likely_row, first_number, second_number, third_number):
     """Count one more occurrence of three numbers, such as two components and the kind of pair.
@@ -199,6 +216,137 @@ def _find_root(component_of_surface, surface):
     return surface
 
 
+@subkernel(forceinline=True, **NO_REFCOUNT)
+def _unite_with_neighbor(
+    surfaces, group_of_surface, rule, max_rise, component_of_surface, cell, neighbor, direction
+):
+    """Unite a cell's surfaces with those of its western or northern neighbor that they join.
+
+    Args:
+        surfaces: the surfaces of all cells, as `Surfaces`.
+        group_of_surface: the group of each surface, see `label_blocks`.
+        rule: a `JoinRule`.
+        max_rise: the largest difference in height of joined surfaces, see `max_rise_of` [m].
+        component_of_surface: the parents of union-find, see `label_blocks`; is changed.
+        cell: id of the cell.
+        neighbor: id of the neighbor.
+        direction: the direction from the neighbor to the cell, EAST or SOUTH.
+    """
+    z = surfaces.z
+    first_near_surface = surfaces.first[neighbor]
+    end_in_neighbor = surfaces.end[neighbor]
+    for surface in range(np.int64(surfaces.first[cell]), surfaces.end[cell]):
+        if component_of_surface[surface] == -1:
+            continue
+        # heights ascend in both cells, so `first_near_surface` only moves up
+        while (
+            first_near_surface < end_in_neighbor and z[first_near_surface] < z[surface] - max_rise
+        ):
+            first_near_surface += 1
+        for near_surface in range(first_near_surface, end_in_neighbor):
+            if z[near_surface] > z[surface] + max_rise:
+                break
+            if component_of_surface[near_surface] != -1 and _are_joined(
+                surfaces, group_of_surface, rule, near_surface, surface, direction
+            ):
+                root = _find_root(component_of_surface, surface)
+                near_root = _find_root(component_of_surface, near_surface)
+                # the lower id is the root, whatever the order of unions
+                component_of_surface[max(root, near_root)] = -2 - min(root, near_root)
+
+
+@subkernel(forceinline=True, **NO_REFCOUNT)
+def _unite_surfaces(surfaces, group_of_surface, rule, window, component_of_surface):
+    """Unite the surfaces of a block that are connected, by union-find.
+
+    Args:
+        surfaces: the surfaces of all cells, as `Surfaces`.
+        group_of_surface: the group of each surface, see `label_blocks`.
+        rule: a `JoinRule`.
+        window: rows and columns of the block, see `block_window`.
+        component_of_surface: receives the parents of union-find, see `label_blocks`.
+    """
+    max_rise = max_rise_of(rule)
+    width = surfaces.lattice.width
+    row_first, row_end, col_first, col_end = window
+    for row in range(row_first, row_end):
+        for col in range(col_first, col_end):
+            cell = row * width + col
+            for surface in range(np.int64(surfaces.first[cell]), surfaces.end[cell]):
+                has_group = _group_of(surfaces, group_of_surface, surface) >= 0
+                component_of_surface[surface] = -2 - surface if has_group else -1
+            for direction in range(2):
+                is_first = col == col_first if direction == EAST else row == row_first
+                if not is_first:
+                    _unite_with_neighbor(
+                        surfaces,
+                        group_of_surface,
+                        rule,
+                        max_rise,
+                        component_of_surface,
+                        cell,
+                        cell - 1 if direction == EAST else cell - width,
+                        direction,
+                    )
+
+
+@subkernel(forceinline=True, **NO_REFCOUNT)
+def _measure_components(surfaces, window, component_of_surface, first_row, measures, heights):
+    """Number the components of a block, and measure them.
+
+    Args:
+        surfaces: the surfaces of all cells, as `Surfaces`.
+        window: rows and columns of the block, see `block_window`.
+        component_of_surface: the parents of union-find, see `label_blocks`; receives the numbers.
+        first_row: index of the block's first row in `measures` and `heights`.
+        measures: receives the numbers of each component, see `label_blocks`.
+        heights: receives its lowest and its highest height.
+
+    Returns:
+        How many components the block has; -1 if there is no room for their rows.
+    """
+    z = surfaces.z
+    num_components = 0
+    row_first, row_end, col_first, col_end = window
+    for row in range(row_first, row_end):
+        for col in range(col_first, col_end):
+            cell = row * surfaces.lattice.width + col
+            rank = 0
+            for surface in range(surfaces.first[cell], surfaces.end[cell]):
+                if component_of_surface[surface] == -1:
+                    continue
+                # parents are negative, and numbers are not: a root that has one ends the search
+                root = surface
+                while component_of_surface[root] < -1 and component_of_surface[root] != -2 - root:
+                    root = -2 - component_of_surface[root]
+                if component_of_surface[root] < -1:  # the root has no number yet
+                    if first_row + num_components == heights.shape[0]:
+                        return -1
+                    component_of_surface[root] = num_components
+                    row_index = first_row + num_components
+                    num_components += 1
+                    measures[row_index, :] = 0
+                    heights[row_index, LOWEST] = z[surface]
+                    heights[row_index, HIGHEST] = z[surface]
+                    # surfaces are visited in the order of cells: this is the first one
+                    measures[row_index, FIRST_SURFACE] = cell * MAX_RANK + min(rank, MAX_RANK - 1)
+                    measures[row_index, FIRST_ROW] = row
+                    measures[row_index, FIRST_COL] = col
+                component_of_surface[surface] = component_of_surface[root]
+                row_index = first_row + component_of_surface[surface]
+                measures[row_index, NUM_SURFACES] += 1
+                measures[row_index, NUM_UNCOVERED] += (
+                    1 if surfaces.flags[surface] & UNCOVERED else 0
+                )
+                measures[row_index, FIRST_COL] = min(measures[row_index, FIRST_COL], col)
+                measures[row_index, END_ROW] = row + 1
+                measures[row_index, END_COL] = max(measures[row_index, END_COL], col + 1)
+                heights[row_index, LOWEST] = min(heights[row_index, LOWEST], z[surface])
+                heights[row_index, HIGHEST] = max(heights[row_index, HIGHEST], z[surface])
+                rank += 1
+    return num_components
+
+
 @kernel(nogil=True, **NO_REFCOUNT)
 def label_blocks(
     surfaces,
@@ -238,94 +386,157 @@ def label_blocks(
         The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
     measures, heights = row_arrays
-    first_surface = surfaces.first
-    end_surface = surfaces.end
-    z = surfaces.z
-    lattice = surfaces.lattice
-    max_rise = max_rise_of(rule)
     num_components_before = 0
-    width = lattice.width
     for block_index in range(begin, end):
-        row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
-        # unite each cell's surfaces with the surfaces of its western and northern neighbors
-        for row in range(row0, row1):
-            for cell in range(row * width + col0, row * width + col1):
-                first_in_cell = np.int64(first_surface[cell])
-                end_in_cell = end_surface[cell]
-                for j in range(first_in_cell, end_in_cell):
-                    component_of_surface[j] = (
-                        -2 - j if _group_of(surfaces, group_of_surface, j) >= 0 else -1
-                    )
-                for direction in range(2):
-                    if cell == row * width + col0 if direction == EAST else row == row0:
-                        continue
-                    neighbor = cell - 1 if direction == EAST else cell - width
-                    first_near_surface = first_surface[neighbor]
-                    end_in_neighbor = end_surface[neighbor]
-                    for j in range(first_in_cell, end_in_cell):
-                        if component_of_surface[j] == -1:
-                            continue
-                        # heights ascend in both cells, so `first_near_surface` only moves up
-                        while (
-                            first_near_surface < end_in_neighbor
-                            and z[first_near_surface] < z[j] - max_rise
-                        ):
-                            first_near_surface += 1
-                        for i in range(first_near_surface, end_in_neighbor):
-                            if z[i] > z[j] + max_rise:
-                                break
-                            if component_of_surface[i] == -1:
-                                continue
-                            if _are_joined(surfaces, group_of_surface, rule, i, j, direction):
-                                root_i = _find_root(component_of_surface, i)
-                                root_j = _find_root(component_of_surface, j)
-                                if root_i != root_j:
-                                    # the lower id is the root, whatever the order of unions
-                                    component_of_surface[max(root_i, root_j)] = -2 - min(
-                                        root_i, root_j
-                                    )
-        # replace parents by numbers, which are >= 0, and measure
-        num_components = 0
-        for row in range(row0, row1):
-            for col in range(col0, col1):
-                cell = row * width + col
-                rank = 0
-                for j in range(first_surface[cell], end_surface[cell]):
-                    if component_of_surface[j] == -1:
-                        continue
-                    root = j
-                    while (
-                        component_of_surface[root] < -1 and component_of_surface[root] != -2 - root
-                    ):
-                        root = -2 - component_of_surface[root]
-                    if component_of_surface[root] < -1:  # the root has no number yet
-                        row_index = num_components_before + num_components
-                        if row_index == heights.shape[0]:
-                            return block_index
-                        measures[row_index, :] = 0
-                        heights[row_index, LOWEST] = z[j]
-                        heights[row_index, HIGHEST] = z[j]
-                        # surfaces are visited in the order of cells: this is the first one
-                        measures[row_index, FIRST_SURFACE] = cell * MAX_RANK + min(
-                            rank, MAX_RANK - 1
-                        )
-                        measures[row_index, FIRST_ROW] = row
-                        measures[row_index, FIRST_COL] = col
-                        component_of_surface[root] = num_components
-                        num_components += 1
-                    component_of_surface[j] = component_of_surface[root]
-                    row_index = num_components_before + component_of_surface[j]
-                    measures[row_index, NUM_SURFACES] += 1
-                    measures[row_index, NUM_UNCOVERED] += 1 if surfaces.flags[j] & UNCOVERED else 0
-                    measures[row_index, FIRST_COL] = min(measures[row_index, FIRST_COL], col)
-                    measures[row_index, END_ROW] = row + 1
-                    measures[row_index, END_COL] = max(measures[row_index, END_COL], col + 1)
-                    heights[row_index, LOWEST] = min(heights[row_index, LOWEST], z[j])
-                    heights[row_index, HIGHEST] = max(heights[row_index, HIGHEST], z[j])
-                    rank += 1
+        window = block_window(surfaces.lattice, blocks[block_index])
+        _unite_surfaces(surfaces, group_of_surface, rule, window, component_of_surface)
+        num_components = _measure_components(
+            surfaces, window, component_of_surface, num_components_before, measures, heights
+        )
+        if num_components < 0:
+            return block_index
         row_counts[block_index] = num_components
         num_components_before += num_components
     return end
+
+
+@subkernel(forceinline=True, **NO_REFCOUNT)
+def _list_stacked_pairs(surfaces, numbering, block_offset, cell, pair_rows):
+    """Number a cell's components over all blocks, and count the pairs that lie over each other.
+
+    Args:
+        surfaces: the surfaces of all cells, as `Surfaces`.
+        numbering: a `ComponentNumbering`, whose `overall_number` is written.
+        block_offset: the `offset_of_block` of the cell's block.
+        cell: id of the cell.
+        pair_rows: the rows in which pairs are counted, as `PairRows`.
+
+    Returns:
+        The index past the last row then, -1 if there is no room for another row; and the row of
+        the cell's first pair, -1 if it has none.
+    """
+    num_rows = np.int64(pair_rows.num_rows)
+    likely_row = np.int64(pair_rows.likely_row)
+    first_pair_row = np.int64(-1)
+    number_below = np.int32(-1)
+    for surface in range(surfaces.first[cell], surfaces.end[cell]):
+        numbering.overall_number[surface] = -1
+        if numbering.number_in_block[surface] < 0:
+            continue
+        numbering.overall_number[surface] = block_offset + numbering.number_in_block[surface]
+        number = numbering.overall_number[surface]
+        if number_below >= 0:
+            row_index = count_row(
+                pair_rows.rows,
+                pair_rows.first_row,
+                num_rows,
+                likely_row,
+                np.int64(number),
+                np.int64(number_below),
+                STACKED,
+            )
+            if row_index < 0:
+                return np.int64(-1), first_pair_row
+            if first_pair_row < 0:
+                first_pair_row = row_index
+            likely_row = row_index + 1
+            num_rows = max(num_rows, row_index + 1)
+        number_below = number
+    return num_rows, first_pair_row
+
+
+@subkernel(forceinline=True, **NO_REFCOUNT)
+def _kind_of_pair(surfaces, group_of_surface, rule, surface, near_surface, direction, is_at_border):
+    """Return the kind of a pair of surfaces in neighboring cells, JOINED or LINKED; -1 for none.
+
+    Args:
+        surfaces: the surfaces of all cells, as `Surfaces`.
+        group_of_surface: the group of each surface, see `label_blocks`.
+        rule: a `JoinRule`.
+        surface: a surface.
+        near_surface: a surface of another component of the same block, or of any of another block,
+            in the neighboring cell.
+        direction: the direction from the first to the second one, EAST or SOUTH.
+        is_at_border: whether the border of two blocks is between them.
+    """
+    if _are_joined(surfaces, group_of_surface, rule, surface, near_surface, direction):
+        # inside of a block, connected surfaces are one component already
+        return JOINED if is_at_border else np.int64(-1)
+    rise = abs(surfaces.z[surface] - surfaces.z[near_surface])
+    return LINKED if rise <= rule.max_link_step + LIMIT_SLACK else np.int64(-1)
+
+
+@subkernel(forceinline=True, **NO_REFCOUNT)
+def _list_pairs_with_neighbor(
+    surfaces, group_of_surface, rule, numbering, row, col, direction, is_at_border, pair_rows
+):
+    """Count the pairs of components that meet between a cell and its eastern or southern neighbor.
+
+    Args:
+        surfaces: the surfaces of all cells, as `Surfaces`.
+        group_of_surface: the group of each surface, see `label_blocks`.
+        rule: a `JoinRule`.
+        numbering: a `ComponentNumbering`, which has the overall numbers of the cell's components.
+        row: row of the cell.
+        col: its column.
+        direction: the direction of the neighbor, EAST or SOUTH.
+        is_at_border: whether the neighbor is in another block.
+        pair_rows: the rows in which pairs are counted, as `PairRows`.
+
+    Returns:
+        The index past the last row then, -1 if there is no room for another row; and the row of
+        the first of these pairs, -1 if there is none.
+    """
+    z = surfaces.z
+    lattice = surfaces.lattice
+    number_in_block = numbering.number_in_block
+    cell = row * lattice.width + col
+    neighbor = cell + (1 if direction == EAST else lattice.width)
+    neighbor_block = block_of(lattice, row + direction, col + 1 - direction)
+    neighbor_offset = numbering.offset_of_block[neighbor_block]
+    max_rise = max_rise_of(rule)
+    first_near_surface = surfaces.first[neighbor]
+    end_in_neighbor = surfaces.end[neighbor]
+    num_rows = np.int64(pair_rows.num_rows)
+    likely_row = np.int64(pair_rows.likely_row)
+    first_pair_row = np.int64(-1)
+    for surface in range(np.int64(surfaces.first[cell]), surfaces.end[cell]):
+        if number_in_block[surface] < 0:
+            continue
+        # heights ascend in both cells, so `first_near_surface` only moves up
+        while (
+            first_near_surface < end_in_neighbor and z[first_near_surface] < z[surface] - max_rise
+        ):
+            first_near_surface += 1
+        for near_surface in range(first_near_surface, end_in_neighbor):
+            if z[near_surface] > z[surface] + max_rise:
+                break
+            is_same_component = (
+                not is_at_border and number_in_block[surface] == number_in_block[near_surface]
+            )
+            if number_in_block[near_surface] < 0 or is_same_component:
+                continue
+            pair_kind = _kind_of_pair(
+                surfaces, group_of_surface, rule, surface, near_surface, direction, is_at_border
+            )
+            if pair_kind < 0:
+                continue
+            row_index = count_row(
+                pair_rows.rows,
+                pair_rows.first_row,
+                num_rows,
+                likely_row,
+                np.int64(numbering.overall_number[surface]),
+                neighbor_offset + number_in_block[near_surface],
+                pair_kind,
+            )
+            if row_index < 0:
+                return np.int64(-1), first_pair_row
+            if first_pair_row < 0:
+                first_pair_row = row_index
+            likely_row = row_index + 1
+            num_rows = max(num_rows, row_index + 1)
+    return num_rows, first_pair_row
 
 
 @kernel(nogil=True, **NO_REFCOUNT)
@@ -355,122 +566,59 @@ def list_pairs(
     Returns:
         The index in `blocks` of the first block whose rows had no room; `end` if all had room.
     """
-    first_surface = surfaces.first
-    end_surface = surfaces.end
-    z = surfaces.z
     lattice = surfaces.lattice
     rows = row_arrays[0]
     num_rows = np.int64(0)
-    width = lattice.width
-    max_rise = max_rise_of(rule)
-    number_in_block = numbering.number_in_block
-    offset_of_block = numbering.offset_of_block
-    overall_number = numbering.overall_number
     for block_index in range(begin, end):
-        num_rows_before = num_rows
-        first_stacked_row = num_rows  # of the last column with such a pair
+        block = blocks[block_index]
+        first_row = num_rows
+        # of the last cell with such pairs: most cells count the pairs of the cell before
+        first_stacked_row = num_rows
         first_eastern_row = num_rows
         first_southern_row = num_rows
-        row0, row1, col0, col1 = block_window(lattice, blocks[block_index])
-        for row in range(row0, row1):
-            for col in range(col0, col1):
-                cell = row * width + col
-                likely_row = first_stacked_row
-                has_counted = False
-                number_below = np.int32(-1)
-                for surface in range(first_surface[cell], end_surface[cell]):
-                    overall_number[surface] = -1
-                    if number_in_block[surface] < 0:
-                        continue
-                    overall_number[surface] = (
-                        offset_of_block[blocks[block_index]] + number_in_block[surface]
-                    )
-                    if number_below >= 0:
-                        row_index = count_row(
-                            rows,
-                            num_rows_before,
-                            num_rows,
-                            likely_row,
-                            np.int64(overall_number[surface]),
-                            np.int64(number_below),
-                            STACKED,
-                        )
-                        if row_index < 0:
-                            return block_index
-                        if not has_counted:
-                            first_stacked_row = row_index
-                        has_counted = True
-                        likely_row = row_index + 1
-                        num_rows = max(num_rows, row_index + 1)
-                    number_below = overall_number[surface]
+        row_first, row_end, col_first, col_end = block_window(lattice, block)
+        for row in range(row_first, row_end):
+            for col in range(col_first, col_end):
+                num_rows, first_pair_row = _list_stacked_pairs(
+                    surfaces,
+                    numbering,
+                    numbering.offset_of_block[block],
+                    row * lattice.width + col,
+                    PairRows(rows, first_row, num_rows, first_stacked_row),
+                )
+                if num_rows < 0:
+                    return block_index
+                if first_pair_row >= 0:
+                    first_stacked_row = first_pair_row
                 for direction in range(2):
-                    is_at_border = col == col1 - 1 if direction == EAST else row == row1 - 1
-                    if not is_at_border and rule.max_link_step < 0.0:
+                    is_east = direction == EAST
+                    is_at_border = col == col_end - 1 if is_east else row == row_end - 1
+                    is_last = col == lattice.width - 1 if is_east else row == lattice.height - 1
+                    if is_last or (not is_at_border and rule.max_link_step < 0.0):
                         continue
-                    if (col == width - 1) if direction == EAST else (row == lattice.height - 1):
-                        continue
-                    neighbor = cell + (1 if direction == EAST else width)
-                    neighbor_block = block_of(lattice, row + direction, col + 1 - direction)
-                    neighbor_offset = offset_of_block[neighbor_block]
-                    first_near_surface = first_surface[neighbor]
-                    end_in_neighbor = end_surface[neighbor]
-                    likely_row = first_eastern_row if direction == EAST else first_southern_row
-                    has_counted = False
-                    for surface in range(np.int64(first_surface[cell]), end_surface[cell]):
-                        if number_in_block[surface] < 0:
-                            continue
-                        # heights ascend in both cells, so `first_near_surface` only moves up
-                        while (
-                            first_near_surface < end_in_neighbor
-                            and z[first_near_surface] < z[surface] - max_rise
-                        ):
-                            first_near_surface += 1
-                        for neighbor_surface in range(first_near_surface, end_in_neighbor):
-                            if z[neighbor_surface] > z[surface] + max_rise:
-                                break
-                            if number_in_block[neighbor_surface] < 0:
-                                continue
-                            if (
-                                not is_at_border
-                                and number_in_block[surface] == number_in_block[neighbor_surface]
-                            ):
-                                continue
-                            is_joined = _are_joined(
-                                surfaces,
-                                group_of_surface,
-                                rule,
-                                surface,
-                                neighbor_surface,
-                                direction,
-                            )
-                            is_too_high = (
-                                abs(z[surface] - z[neighbor_surface])
-                                > rule.max_link_step + LIMIT_SLACK
-                            )
-                            # inside of a block, connected surfaces are one component already
-                            if (not is_at_border) if is_joined else is_too_high:
-                                continue
-                            pair_kind = JOINED if is_joined else LINKED
-                            neighbor_number = neighbor_offset + number_in_block[neighbor_surface]
-                            row_index = count_row(
-                                rows,
-                                num_rows_before,
-                                num_rows,
-                                likely_row,
-                                np.int64(overall_number[surface]),
-                                neighbor_number,
-                                pair_kind,
-                            )
-                            if row_index < 0:
-                                return block_index
-                            if not has_counted and direction == EAST:
-                                first_eastern_row = row_index
-                            elif not has_counted:
-                                first_southern_row = row_index
-                            has_counted = True
-                            likely_row = row_index + 1
-                            num_rows = max(num_rows, row_index + 1)
-        row_counts[block_index] = num_rows - num_rows_before
+                    num_rows, first_pair_row = _list_pairs_with_neighbor(
+                        surfaces,
+                        group_of_surface,
+                        rule,
+                        numbering,
+                        row,
+                        col,
+                        direction,
+                        is_at_border,
+                        PairRows(
+                            rows,
+                            first_row,
+                            num_rows,
+                            first_eastern_row if is_east else first_southern_row,
+                        ),
+                    )
+                    if num_rows < 0:
+                        return block_index
+                    if first_pair_row >= 0 and is_east:
+                        first_eastern_row = first_pair_row
+                    elif first_pair_row >= 0:
+                        first_southern_row = first_pair_row
+        row_counts[block_index] = num_rows - first_row
     return end
 
 
