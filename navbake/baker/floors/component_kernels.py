@@ -100,9 +100,9 @@ class PairRows(NamedTuple):
     """
 
     rows: Int
-    first_row: int
-    num_rows: int
-    likely_row: int
+    first_row: int | np.int64
+    num_rows: int | np.int64
+    likely_row: int | np.int64
 
 
 @subkernel(**NO_REFCOUNT)
