@@ -210,6 +210,23 @@ def _push_cell(bucket_head, counters, entry_cell, entry_next, bucket_number, cel
 
 
 @subkernel
+def _pop_cell(bucket_head, counters, entry_cell, entry_next, bucket_number):
+    """Take a cell out of a bucket of the queue, and return it; -1 if the bucket is empty.
+
+    The arguments are those of `_push_cell`.
+    """
+    bucket_index = bucket_number & (bucket_head.shape[0] - 1)
+    entry = bucket_head[bucket_index]
+    if entry < 0:
+        return np.int64(-1)
+    bucket_head[bucket_index] = entry_next[entry]
+    entry_next[entry] = counters[SPARE_ENTRY]
+    counters[SPARE_ENTRY] = entry
+    counters[NUM_OPEN] -= 1
+    return np.int64(entry_cell[entry])
+
+
+@subkernel
 def _lower_bound(row, col, box, cost_per_cell):
     """Compute a lower bound of the cost of a route from a cell to the box round the goals.
 
@@ -225,17 +242,103 @@ def _lower_bound(row, col, box, cost_per_cell):
     return cost_per_cell * (longer_distance + (DIAGONAL - 1.0) * min(row_distance, col_distance))
 
 
-@kernel
-def find_route(graph, source_cells, goal_cells, search_number, visits):
-    """Find the cheapest route from one of several sources to one of several goals.
+@subkernel
+def _mark_goals(layout, goal_cells, search_mark, visits):
+    """Mark the goals of a search, and return the box round them on each level.
 
-    The module's docstring describes the algorithm. Without goals, the search reaches all cells and
-    follows steps backwards: ``visits.cost`` is then the cost of the route from each cell to the
-    source that is cheapest to reach. For that, ``graph.links`` must be reversed.
+    Args:
+        layout: `navbake.runtime.grid_arrays.Layout`.
+        goal_cells: flat ids of the goals, int64; empty for no goal.
+        search_mark: the search's number, as bits of `visits.mark`.
+        visits: `navbake.runtime.grid_arrays.Visits`, whose `mark` and `cost` are written.
+
+    Returns:
+        By level: first and last row, first and last column, with fractions, (levels, 4) float64.
+    """
+    x_min = np.inf
+    x_max = -np.inf
+    y_min = np.inf
+    y_max = -np.inf
+    for goal_cell in goal_cells:
+        visits.mark[goal_cell] = search_mark | GOAL_BIT | NOT_REACHED
+        visits.cost[goal_cell] = np.inf
+        x, y = cell_center(layout, goal_cell)
+        x_min = min(x_min, x)
+        x_max = max(x_max, x)
+        y_min = min(y_min, y)
+        y_max = max(y_max, y)
+    num_levels = layout.width.shape[0]
+    goal_boxes = np.empty((num_levels, 4))
+    for level in range(num_levels):
+        first_col, first_row = to_cell_units(layout, level, x_min, y_max)
+        last_col, last_row = to_cell_units(layout, level, x_max, y_min)
+        goal_boxes[level, 0] = first_row - 0.5
+        goal_boxes[level, 1] = last_row - 0.5
+        goal_boxes[level, 2] = first_col - 0.5
+        goal_boxes[level, 3] = last_col - 0.5
+    return goal_boxes
+
+
+@subkernel
+def _bound_cost(graph, cell, goal_boxes):
+    """Compute a lower bound of the cost of a route from a cell to the goals.
 
     Args:
         graph: `navbake.runtime.grid_arrays.Graph`.
-        source_cells: flat ids of free cells, int64.
+        cell: flat id of the cell.
+        goal_boxes: see `_mark_goals`.
+    """
+    layout = graph.layout
+    level = level_of(layout.start, cell)
+    row, col = divmod(cell - layout.start[level], layout.width[level])
+    cost_per_cell = layout.cell_size[level] * graph.least_weight
+    return _lower_bound(row, col, goal_boxes[level], cost_per_cell)
+
+
+@subkernel
+def _trace_route(graph, goal_cell, visits):
+    """Follow the moves that cells were reached by from a goal back to its source.
+
+    Args:
+        graph: `navbake.runtime.grid_arrays.Graph`.
+        goal_cell: flat id of the goal; -1 if none was reached.
+        visits: `navbake.runtime.grid_arrays.Visits`, as the search has written it.
+
+    Returns:
+        The flat ids of the route from source to goal, int64; none without a goal.
+    """
+    layout = graph.layout
+    route = np.empty(256, np.int64)
+    route_length = 0
+    cell = goal_cell
+    while cell >= 0:
+        if route_length == route.shape[0]:
+            route = np.append(route, np.empty_like(route))
+        route[route_length] = cell
+        route_length += 1
+        move = visits.mark[cell] & MOVE_BITS
+        if move == FROM_SOURCE:
+            break
+        if move == BY_LINK:
+            cell = visits.link_from[find_link_cell_index(graph.links.cell, cell)]
+        else:
+            level = level_of(layout.start, cell)
+            cell -= ROW_STEP[move] * layout.width[level] + COL_STEP[move]
+    return route[:route_length][::-1].copy()
+
+
+@kernel
+def find_route(graph, source_cells, goal_cells, search_number, visits):
+    """Find the cheapest route from a source to one of several goals.
+
+    The module's docstring describes the algorithm. Without goals, there may be several sources, and
+    the search reaches all cells and follows steps backwards: ``visits.cost`` is then the cost of
+    the route from each cell to the source that is cheapest to reach. For that, ``graph.links`` must
+    be reversed.
+
+    Args:
+        graph: `navbake.runtime.grid_arrays.Graph`.
+        source_cells: flat ids of free cells, int64; one if there are goals.
         goal_cells: flat ids of free cells, int64, none of them a source; empty for no goal.
         search_number: larger than the number of any search that wrote into ``visits.mark``.
         visits: `navbake.runtime.grid_arrays.Visits`, written.
@@ -245,7 +348,6 @@ def find_route(graph, source_cells, goal_cells, search_number, visits):
         route from source to goal, int64, none if there is no route.
     """
     layout = graph.layout
-    route = np.empty(256, np.int64)
     level_start = layout.start
     width = layout.width
     cell_size = layout.cell_size
@@ -258,48 +360,22 @@ def find_route(graph, source_cells, goal_cells, search_number, visits):
     mark, cost, link_from, entry_cell, entry_next = visits
     bucket_head = np.full(graph.num_buckets, -1, np.int32)
     counters = np.array([-1, 0, 0])
-    bucket_mask = bucket_head.shape[0] - 1
     buckets_per_cost = 1.0 / bucket_width
     least_gain = 1e-9 * bucket_width  # a smaller gain is none
     search_mark = search_number * SEARCH_UNIT
     has_goals = goal_cells.shape[0] > 0
     best_cost = np.inf  # of a goal
     best_goal_cell = np.int64(-1)
-    x_min = np.inf
-    x_max = -np.inf
-    y_min = np.inf
-    y_max = -np.inf
-    for goal_cell in goal_cells:
-        mark[goal_cell] = search_mark | GOAL_BIT | NOT_REACHED
-        cost[goal_cell] = np.inf
-        x, y = cell_center(layout, goal_cell)
-        x_min = min(x_min, x)
-        x_max = max(x_max, x)
-        y_min = min(y_min, y)
-        y_max = max(y_max, y)
-    # the box round the goals by level: first and last row, first and last column
-    goal_boxes = np.empty((width.shape[0], 4))
-    for level in range(width.shape[0]):
-        first_col, first_row = to_cell_units(layout, level, x_min, y_max)
-        last_col, last_row = to_cell_units(layout, level, x_max, y_min)
-        goal_boxes[level, 0] = first_row - 0.5
-        goal_boxes[level, 1] = last_row - 0.5
-        goal_boxes[level, 2] = first_col - 0.5
-        goal_boxes[level, 3] = last_col - 0.5
-
+    goal_boxes = _mark_goals(layout, goal_cells, search_mark, visits)
     bucket_number = np.int64(0)
     for source_cell in source_cells:
         if counters[NUM_USED] == entry_cell.shape[0]:
-            return QUEUE_FULL, route[:0]
+            return QUEUE_FULL, np.empty(0, np.int64)
         if mark[source_cell] < search_mark:  # a source may be listed twice
             mark[source_cell] = search_mark | FROM_SOURCE
             cost[source_cell] = 0.0
             if has_goals:
-                level = level_of(level_start, source_cell)
-                row, col = divmod(source_cell - level_start[level], width[level])
-                cost_bound = _lower_bound(
-                    row, col, goal_boxes[level], cell_size[level] * least_weight
-                )
+                cost_bound = _bound_cost(graph, source_cell, goal_boxes)
                 bucket_number = np.int64(cost_bound * buckets_per_cost)
             _push_cell(bucket_head, counters, entry_cell, entry_next, bucket_number, source_cell)
 
@@ -309,19 +385,14 @@ def find_route(graph, source_cells, goal_cells, search_number, visits):
     num_cols = width[0]
     cell_edge = cell_size[0]
     while counters[NUM_OPEN] > 0:
-        entry = bucket_head[bucket_number & bucket_mask]
-        if entry < 0:
+        cell = _pop_cell(bucket_head, counters, entry_cell, entry_next, bucket_number)
+        if cell < 0:
             bucket_number += 1
             # All open cells cost as much as this bucket at least. A goal counts only now, as a
             # cheaper route to it may have been in the bucket that it was found in.
             if bucket_number * bucket_width >= best_cost + graph.link_saving:
                 break
             continue
-        bucket_head[bucket_number & bucket_mask] = entry_next[entry]
-        entry_next[entry] = counters[SPARE_ENTRY]
-        counters[SPARE_ENTRY] = entry
-        counters[NUM_OPEN] -= 1
-        cell = np.int64(entry_cell[entry])
         if mark[cell] & (EXPANDED_BIT | GOAL_BIT):  # a route over a goal gets no goal cheaper
             continue
         mark[cell] |= EXPANDED_BIT
@@ -341,7 +412,7 @@ def find_route(graph, source_cells, goal_cells, search_number, visits):
             else link_start[link_cell_index + 1] - link_start[link_cell_index]
         )
         if counters[NUM_USED] + 8 + num_links > entry_cell.shape[0]:
-            return QUEUE_FULL, route[:0]
+            return QUEUE_FULL, np.empty(0, np.int64)
         row, col = divmod(cell - first_cell, num_cols) if has_goals else (np.int64(0), np.int64(0))
         for move in range(8 + num_links):  # the eight directions, then the links
             target_row = row
@@ -398,20 +469,4 @@ def find_route(graph, source_cells, goal_cells, search_number, visits):
                 )
             target_bucket_number = max(np.int64(estimated_cost * buckets_per_cost), bucket_number)
             _push_cell(bucket_head, counters, entry_cell, entry_next, target_bucket_number, target)
-
-    # from the goal back along the moves that the cells were reached by
-    route_length = 0
-    cell = best_goal_cell
-    while cell >= 0:
-        if route_length == route.shape[0]:
-            route = np.append(route, np.empty_like(route))
-        route[route_length] = cell
-        route_length += 1
-        move = mark[cell] & MOVE_BITS
-        if move == FROM_SOURCE:
-            break
-        if move == BY_LINK:
-            cell = link_from[find_link_cell_index(link_cell, cell)]
-        else:
-            cell -= ROW_STEP[move] * width[level_of(level_start, cell)] + COL_STEP[move]
-    return SEARCH_DONE, route[:route_length][::-1].copy()
+    return SEARCH_DONE, _trace_route(graph, best_goal_cell, visits)
