@@ -169,55 +169,27 @@ def run_batch(
         row_of_scene = _list_earlier_rows(plan, jobs, inspector, only_merge=only_merge)
         remaining_jobs = [] if only_merge else [job for job in jobs if job.id not in row_of_scene]
         batch_result = BatchResult(num_skipped=len(row_of_scene))
-        num_failed_scenes = 0
         if only_merge:
             batch_result.num_skipped = sum(row["status"] == OK for row in row_of_scene.values())
 
         try:
             if remaining_jobs:
                 on_event("begin", {"scenes": len(jobs), "skipped": len(row_of_scene)})
-            # of equal scenes, one is baked, and its files are copied for the others afterwards
-            twin_of_scene = find_twins(inspector, jobs, row_of_scene) if remaining_jobs else {}
-            jobs_to_bake = [job for job in remaining_jobs if job.id not in twin_of_scene]
-            jobs_to_copy = [
-                job._replace(twin=twin_of_scene[job.id])
-                for job in remaining_jobs
-                if job.id in twin_of_scene
-            ]
-            for pass_jobs in (jobs_to_bake, jobs_to_copy):
-                scene_rows = _run_jobs(
-                    plan,
-                    pass_jobs,
-                    on_event,
-                    workers=workers,
-                    limits=limits,
-                    executor=executor,
-                )
-                with closing(scene_rows):
-                    for row, worker in scene_rows:
-                        if row["status"] == LEFT:  # there is no room for other scenes, either
-                            batch_result.stop_reason = row["error"]
-                            break
-                        row_of_scene[row["id"]] = row
-                        if index_file is not None:
-                            index_file.add(row)
-                        on_event("scene", {**row, "worker": worker})
-                        num_failed_scenes += row["status"] == FAILED
-                        if max_failures is not None and num_failed_scenes > max_failures:
-                            batch_result.stop_reason = (
-                                f"{num_failed_scenes} scenes failed, more than {max_failures}"
-                            )
-                            break
-                if batch_result.stop_reason is not None:
-                    break
+            batch_result.stop_reason = _bake_scenes(
+                plan,
+                _list_passes(inspector, jobs, remaining_jobs, row_of_scene),
+                row_of_scene,
+                index_file,
+                on_event,
+                workers=workers,
+                limits=limits,
+                max_failures=max_failures,
+                executor=executor,
+            )
         except store.DiskFullError as error:
             batch_result.stop_reason = str(error)
         finally:
-            for job in remaining_jobs:
-                # a killed worker may leave files; on a store, the next run removes them
-                if job.id not in row_of_scene and isinstance(plan.folder, Path):
-                    with suppress(NavbakeError):
-                        remove_leftovers(Path(plan.scene_folder(job)), min_age=0)
+            _clean_up_scenes(plan, [job for job in remaining_jobs if job.id not in row_of_scene])
             batch_result.rows = [
                 row_of_scene.get(job.id) or begin_row(plan, job, LEFT) for job in jobs
             ]
@@ -232,6 +204,96 @@ def run_batch(
             except NavbakeError as error:
                 batch_result.stop_reason = str(error)
         return batch_result
+
+
+def _list_passes(
+    inspector: Inspector,
+    jobs: Sequence[Job],
+    remaining_jobs: Sequence[Job],
+    row_of_scene: Mapping[str, SceneRow],
+) -> list[list[Job]]:
+    """List the jobs of both passes of a batch: the scenes to bake, then the scenes to copy.
+
+    Of equal scenes, one is baked, and its files are copied for the others afterwards.
+
+    Args:
+        inspector: tells which scenes are equal.
+        jobs: all scenes.
+        remaining_jobs: the scenes that no earlier run has done.
+        row_of_scene: the rows of those that are done; scene's id -> row.
+    """
+    twin_of_scene = find_twins(inspector, jobs, row_of_scene) if remaining_jobs else {}
+    jobs_to_bake = [job for job in remaining_jobs if job.id not in twin_of_scene]
+    jobs_to_copy = [
+        job._replace(twin=twin_of_scene[job.id])
+        for job in remaining_jobs
+        if job.id in twin_of_scene
+    ]
+    return [jobs_to_bake, jobs_to_copy]
+
+
+def _bake_scenes(
+    plan: Plan,
+    passes: Sequence[Sequence[Job]],
+    row_of_scene: dict[str, SceneRow],
+    index_file: index.LineFile | None,
+    on_event: OnBatchEvent,
+    *,
+    workers: int | None,
+    limits: JobLimits,
+    max_failures: int | None,
+    executor: Executor | None,
+) -> str | None:
+    """Bake scenes, and record the row of each as soon as it ends.
+
+    Args:
+        plan: the batch's options.
+        passes: the scenes of each pass, which begins when the pass before it has ended.
+        row_of_scene: receives the rows; scene's id -> row.
+        index_file: receives the rows, too; None for no such file.
+        on_event: is called with the row of each scene.
+        workers: see `run_batch`.
+        limits: see `run_batch`.
+        max_failures: see `run_batch`.
+        executor: see `run_batch`.
+
+    Returns:
+        Why the batch ended before the last scene; None if it didn't.
+    """
+    num_failed_scenes = 0
+    for pass_jobs in passes:
+        scene_rows = _run_jobs(
+            plan, pass_jobs, on_event, workers=workers, limits=limits, executor=executor
+        )
+        with closing(scene_rows):
+            for row, worker in scene_rows:
+                if row["status"] == LEFT:  # there is no room for other scenes, either
+                    stop_reason: str = row["error"]
+                    return stop_reason
+                row_of_scene[row["id"]] = row
+                if index_file is not None:
+                    index_file.add(row)
+                on_event("scene", {**row, "worker": worker})
+                num_failed_scenes += row["status"] == FAILED
+                if max_failures is not None and num_failed_scenes > max_failures:
+                    return f"{num_failed_scenes} scenes failed, more than {max_failures}"
+    return None
+
+
+def _clean_up_scenes(plan: Plan, jobs: Sequence[Job]) -> None:
+    """Remove the files that killed workers may have left of scenes.
+
+    On a store, the next run removes them.
+
+    Args:
+        plan: the batch's options.
+        jobs: the scenes.
+    """
+    if not isinstance(plan.folder, Path):
+        return
+    for job in jobs:
+        with suppress(NavbakeError):
+            remove_leftovers(Path(plan.scene_folder(job)), min_age=0)
 
 
 def _list_earlier_rows(

@@ -111,6 +111,15 @@ LINE_STROKES = {
 }
 
 
+MATPLOTLIB_SETTINGS: dict[Any, object] = {
+    "svg.hashsalt": "navbake",  # else ids in an SVG are hashes with a random salt
+    "svg.fonttype": "path",  # letters are shapes, in case a viewer lacks the fonts
+    "pdf.fonttype": 42,  # TrueType: journals refuse the fonts of type 3
+    "text.parse_math": False,  # no name is markup
+    "text.color": TEXT_COLOR,
+    "figure.autolayout": False,  # without a layout engine, these would choose one
+    "figure.constrained_layout.use": False,
+}
 # what matplotlib would write of itself and of the time, by the picture's format
 METADATA_KEYS = {
     "png": ("Software",),
@@ -226,8 +235,6 @@ def render_picture(
         from matplotlib import rc_context
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
-        from matplotlib.font_manager import FontProperties
-        from matplotlib.transforms import Bbox
     except ImportError as error:
         message = 'plots need matplotlib: pip install "navbake[plot]"'
         raise MissingDependencyError(message) from error
@@ -255,35 +262,18 @@ def render_picture(
     drawn_texts = [grid.scene_id or "", *color_of_kind, *(panel.title for panel in panels)]
     drawn_texts += [label.text for panel in panels for label in panel.labels]
     font_families, missing_letters = choose_fonts("".join(drawn_texts))
-    matplotlib_settings: dict[Any, object] = {
-        "svg.hashsalt": "navbake",  # else ids in an SVG are hashes with a random salt
-        "svg.fonttype": "path",  # letters are shapes, in case a viewer lacks the fonts
-        "pdf.fonttype": 42,  # TrueType: journals refuse the fonts of type 3
-        "text.parse_math": False,  # no name is markup
-        "font.family": font_families,
-        "text.color": TEXT_COLOR,
-        "figure.autolayout": False,  # without a layout engine, these would choose one
-        "figure.constrained_layout.use": False,
-    }
-    with rc_context(matplotlib_settings), warnings.catch_warnings():
+    settings = {**MATPLOTLIB_SETTINGS, "font.family": font_families}
+    with rc_context(settings), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from font")
         figure = Figure(facecolor="white", dpi=DPI)
         FigureCanvasAgg(figure)
         axes = add_axes(figure, view_bounds, panels, len(layers), dpi)
         if titles:
-            heading_text = grid.scene_id or "grid"
-            if grid.inflated_radius:
-                heading_text = f"{heading_text}, {grid.describe_radius()}"
-            heading = wrap_text(heading_text, figure.get_figwidth())
-            figure.suptitle(heading, x=0.01, ha="left", fontsize=HEADING_POINTS, fontweight="bold")
+            _write_heading(figure, grid)
         for ax, level_number, panel in zip(axes, panel_level_numbers, panels, strict=True):
             _draw_panel(ax, panel, grid.levels[level_number].lattice.bounds, has_title=titles)
             _draw_overlays(ax, overlays, grid, level_number, color_of_kind)
-        legend_colors = dict(color_of_kind)
-        if overlays.poses is not None or overlays.region is not None:
-            legend_colors["where a base can stand"] = STAND
-        if overlays.poses is not None:
-            legend_colors["what it reaches"] = TARGET
+        legend_colors = {**color_of_kind, **_list_stand_colors(overlays)}
         legend = _draw_legend(figure, panels, legend_colors, overlays.route is not None)
         # names fit rooms, and titles fit beside each other: both need the layout
         _lay_out(figure)
@@ -293,32 +283,84 @@ def render_picture(
         # with an engine of any kind, even "none", `savefig` would draw all once more beforehand
         figure.set_layout_engine(None)
         key_entries = _write_all_names(axes, panels, missing_letters)
-        facts_text = f"cells of {grid.levels[0].lattice.cell_size:g} m, axes in metres"
-        legend_text = wrap_text(
-            "   ".join([facts_text, *key_entries]), figure.get_figwidth() * 1.2, max_lines=99
-        )
-        legend.set_title(legend_text, FontProperties(size=LEGEND_POINTS))
+        _write_key(legend, grid, key_entries, figure.get_figwidth() * 1.2)
         axes_of_level = {
             level_number: ax
             for ax, level_number, panel in zip(axes, panel_level_numbers, panels, strict=True)
             if panel.connections
         }
         _draw_connections(figure, axes_of_level, panels, view_bounds)
-        picture_file = io.BytesIO()
         # the lines of the key hang below the figure, which is extended by them
         bottom_edge = min(0.0, legend.get_window_extent().y0 / DPI - LINE_HEIGHT / 2)
-        right_edge, top_edge = figure.get_size_inches()
+        top_edge = figure.get_figheight()
         if not titles:  # the space for them is cut off
-            map_frames = [ax.get_tightbbox() for ax in axes]
-            map_tops = [frame.y1 for frame in map_frames if frame is not None]
-            top_edge = max(map_tops) / DPI + MAP_PADDING
-        figure.savefig(
-            picture_file,
-            format=form,
-            dpi=dpi,
-            metadata=dict.fromkeys(METADATA_KEYS[form]),
-            bbox_inches=Bbox(np.array([(0.0, bottom_edge), (right_edge, top_edge)])),
-        )
+            top_edge = _find_top_of_maps(axes)
+        return _encode_figure(figure, form, dpi, bottom_edge, top_edge)
+
+
+def _write_heading(figure: Figure, grid: NavGrid) -> None:
+    """Write the name of a grid, and the radius that it is inflated by, above all maps."""
+    heading_text = grid.scene_id or "grid"
+    if grid.inflated_radius:
+        heading_text = f"{heading_text}, {grid.describe_radius()}"
+    heading = wrap_text(heading_text, figure.get_figwidth())
+    figure.suptitle(heading, x=0.01, ha="left", fontsize=HEADING_POINTS, fontweight="bold")
+
+
+def _list_stand_colors(overlays: Overlays) -> dict[str, str]:
+    """Return what the legend says of poses and of shaded cells -> its colour."""
+    colors = {}
+    if overlays.poses is not None or overlays.region is not None:
+        colors["where a base can stand"] = STAND
+    if overlays.poses is not None:
+        colors["what it reaches"] = TARGET
+    return colors
+
+
+def _write_key(legend: Legend, grid: NavGrid, key_entries: Sequence[str], max_width: float) -> None:
+    """Write the size of cells, and what numbers on the maps mean, above the legend's entries.
+
+    Args:
+        legend: the legend.
+        grid: the grid.
+        key_entries: what each number on the maps means.
+        max_width: the largest width of a line [inches].
+    """
+    from matplotlib.font_manager import FontProperties
+
+    facts_text = f"cells of {grid.levels[0].lattice.cell_size:g} m, axes in metres"
+    key_text = wrap_text("   ".join([facts_text, *key_entries]), max_width, max_lines=99)
+    legend.set_title(key_text, FontProperties(size=LEGEND_POINTS))
+
+
+def _find_top_of_maps(axes: Sequence[PanelAxes]) -> float:
+    """Return how high above the figure's lower edge the highest map ends, with padding [inches]."""
+    map_frames = [ax.get_tightbbox() for ax in axes]
+    return float(max(frame.y1 for frame in map_frames if frame is not None)) / DPI + MAP_PADDING
+
+
+def _encode_figure(
+    figure: Figure, form: str, dpi: float, bottom_edge: float, top_edge: float
+) -> bytes:
+    """Encode a figure as a file.
+
+    Args:
+        figure: the figure.
+        form: ``png``, ``svg`` or ``pdf``.
+        dpi: pixels per inch of a PNG.
+        bottom_edge: the lower edge of what is shown, 0 is that of the figure [inches].
+        top_edge: the upper edge of what is shown [inches].
+    """
+    from matplotlib.transforms import Bbox
+
+    picture_file = io.BytesIO()
+    figure.savefig(
+        picture_file,
+        format=form,
+        dpi=dpi,
+        metadata=dict.fromkeys(METADATA_KEYS[form]),
+        bbox_inches=Bbox(np.array([(0.0, bottom_edge), (figure.get_figwidth(), top_edge)])),
+    )
     return picture_file.getvalue()
 
 
