@@ -34,6 +34,7 @@ from navbake.episodes.episode import (
     Episode,
     EpisodeSet,
     choose_agent,
+    digest_of,
     scene_of,
 )
 from navbake.episodes.flights import digest_of_voxels, list_flight_points, make_flight_finder
@@ -941,7 +942,9 @@ def _make_finder(
     radius = None if header_agent is None else header_agent.radius
     agent = choose_agent(grid, agent_name, radius)
     if not force:
-        grid = fit_grid(grid, agent)
+        drawn_digests = {grid_entry.digest for grid_entry in episode_set.header.grids}
+        if digest_of(grid) not in drawn_digests:
+            grid = fit_grid(grid, agent)
         episode_set.check_grid(grid)
     return scene_of(grid), PathFinder(grid, agent=agent.without_sizes() if agent_name else None)
 

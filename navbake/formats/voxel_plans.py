@@ -9,12 +9,14 @@ from __future__ import annotations
 import logging
 import math
 from os import PathLike
+from pathlib import Path
 
 import numpy as np
 
 from navbake.errors import FormatError
 from navbake.files import readable_stem
 from navbake.formats.occupancy import FREE, OCCUPIED, UNKNOWN, level_from_values
+from navbake.formats.source import format_path
 from navbake.formats.voxels import read_voxels
 from navbake.known_names import check_choice
 from navbake.navgrid.grid import SceneGrid2D
@@ -49,12 +51,16 @@ def read_voxel_plan(
         QueryError: the range of heights is empty.
     """
     if height is None:
-        expected = "the heights that an agent needs free, LOW:HIGH [m], world z (--height 0.1:1.2)"
+        expected = "the heights that an agent needs free, LOW:HIGH [m], world z"
+        path_text = format_path(path)
+        grid_path = format_path(f"{Path(path).stem}.grid.json")
+        hint = f"`navbake convert {path_text} {grid_path} --height 0.1:1.2` makes one"
         raise FormatError(
-            f"expected {expected} to make a grid of the voxels of {path}",
+            f"expected {expected} to make a grid of the voxels of {path}: {hint}",
             path=str(path),
             key="height",
             expected=expected,
+            hint=hint,
         )
     check_choice(unknown, UNKNOWN_VALUES, "unknown", FormatError)
     low_z, high_z = height

@@ -624,6 +624,14 @@ def _check_rules(rules: StandRules) -> None:
         check_choice(rules.facing, ("target",), "facing", QueryError)
     if rules.height is not None:
         check_distance(rules.height, "height")
+        if math.isinf(rules.height):
+            expected = "a finite height of the shoulder [m]"
+            raise QueryError(
+                f"expected {expected}, got {rules.height}",
+                key="height",
+                value=rules.height,
+                expected=expected,
+            )
     check_distance(rules.sight, "sight")
 
 

@@ -599,9 +599,12 @@ class VoxelFinder:
             f"({volumes[start_island - 1]:.1f} m³) to island {goal_island} "
             f"({volumes[goal_island - 1]:.1f} m³)"
         )
+        least_radius = self.voxels.res / 2.0
+        if self.radius <= least_radius:
+            return sentence
         widest = self._find_smaller_radius(start_position, goals)
         if widest is None:
-            return f"{sentence}; not even a ball of {self.voxels.res / 2:g} m gets through"
+            return f"{sentence}; not even a ball of {least_radius:g} m gets through"
         return f"{sentence}; a ball of {widest:.3g} m gets through"
 
     def _find_smaller_radius(self, start: Float, goals: Float) -> float | None:

@@ -71,7 +71,7 @@ def test_each_option_of_a_format_is_an_option_of_convert(convert, key):
     words["up"] = "z"
     values = [] if key in ("absolute", "flat", "cut_corners") else [words.get(key, "1")]
     status, _, err = convert("a.jsonl", "b.jsonl", option, *values)
-    assert status == 2 and f"--{key}" in err and "grids" in err
+    assert status == 2 and option in err and "grids" in err
 
 
 def test_never_writes_over_its_input_and_an_output_is_whole_or_as_before(convert, monkeypatch):
