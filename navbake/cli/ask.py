@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -216,8 +217,14 @@ def path(
             for place in goal_places
         ]
     grid_as_in_file = nav_grid
+    from navbake.runtime.agents import find_agent  # loads numpy
+
+    path_agent = find_agent(grid_as_in_file, agent)
+    if path_agent is not None and radius is not None:
+        path_agent = replace(path_agent, radius=radius)
+        radius = None  # the finder inflates the grid for its agent
     nav_grid = _adapt_grid(grid_as_in_file, doors, radius)
-    finder = navbake.PathFinder(nav_grid, agent=agent)
+    finder = navbake.PathFinder(nav_grid, agent=path_agent)
     if start_position is None:
         name = start.removeprefix("room:")
         room_middles = [room.centroid for room in nav_grid.rooms if name in (room.id, room.name)]
@@ -231,7 +238,7 @@ def path(
     reason = None if planned_path else finder.why_not(start_position, goal)
     if reason and doors is None and _can_open_doors(grid_as_in_file):
         grid_with_open_doors = _adapt_grid(grid_as_in_file, ["open"], radius)
-        if navbake.PathFinder(grid_with_open_doors, agent=agent).find_path(
+        if navbake.PathFinder(grid_with_open_doors, agent=path_agent).find_path(
             start_position, goal, by=by
         ):
             reason += "; `--doors open` opens all doors, `--doors NAME=open` one"

@@ -36,6 +36,7 @@ from navbake.errors import ConfigError, FormatError, QueryError
 from navbake.formats.convert import encode_with, list_files, read_with
 from navbake.formats.format_table import GRID_FORMATS, ROUTE_FORMATS, FileFormat, find_format
 from navbake.formats.scene_files import (
+    BUILDING_SUFFIXES,
     SDF_SUFFIXES,
     STAGE_SUFFIXES,
     XML_SUFFIXES,
@@ -52,8 +53,8 @@ EPISODE_ONLY_SUFFIXES = (".jsonl", ".jsonl.gz", ".parquet", ".csv.bz2")
 ROUTE_ONLY_SUFFIXES = (".graphml", ".gml", ".lif")  # of files that are read; no grid has these
 ROUTE_FORMAT_NAMES = tuple(form.name for form in ROUTE_FORMATS)
 
-SCENE_SUFFIXES = XML_SUFFIXES | SDF_SUFFIXES | STAGE_SUFFIXES | {".mjb"}
-"""Endings of scenes, which no format of grids has."""
+SCENE_SUFFIXES = XML_SUFFIXES | SDF_SUFFIXES | BUILDING_SUFFIXES | STAGE_SUFFIXES | {".mjb"}
+"""Endings of scenes, which no format of grids that can be read has."""
 
 # Functions import what reads grids only when they run, so that --help stays quick.
 

@@ -112,6 +112,15 @@ def test_plans_over_links_for_an_agent(plan, run, tmp_path):
     assert (cell["links"], cell["area"]) == (["A"], None)
 
 
+def test_a_radius_replaces_that_of_the_agent(plan, tmp_path):
+    file = tmp_path / "tower.grid.json"
+    corridor = ["#" * 30, *["." * 30] * 7, "#" * 30]  # an agent of up to 0.35 m fits
+    tower(storeys=1, row="\n".join(corridor)).save(file)
+    ends = "--from", "0.5,-0.45", "--to", "2.5,-0.45", "--agent", "robot"
+    for radius, expected_status in ((0.0, 0), (0.3, 0), (0.5, 1)):
+        assert plan(file, *ends, "--radius", radius)[0] == expected_status
+
+
 def test_no_path_is_status_1_with_the_reason(plan):
     status, out, err = plan(HOUSE, "--from", "0,-4.8,L0", "--to", "room:1:1", "--radius", 0.4)
     assert (status, err) == (1, "")

@@ -158,6 +158,7 @@ CASES = [
     ("inflate house.json.gz 1 -o a.pgm", 2, ".json, .json.gz, got a.pgm"),
     ("inflate house.json.gz 1 -o ./house.json.gz", 1, "apart from the inputs"),
     # convert
+    ("convert lab.building.yaml a.json", 2, "IN: lab.building.yaml is a scene: bake it first"),
     ("convert set.csv a.json --cut-corners", 2, "--cut-corners: does nothing here: it is for"),
     ("convert house.json.gz -", 2, "--to"),
     ("convert house.json.gz a.tif", 2, "OUT: expected"),

@@ -187,6 +187,18 @@ def test_an_agent_smaller_than_the_inflation_is_named():
         PathFinder(grid, agent=Agent("thin", 0.1))
 
 
+@pytest.mark.parametrize("radius", [0.1, 0.2, 0.3])
+def test_the_finders_grid_is_the_inflated_one_also_for_the_baked_radius(radius):
+    for baked_radius in (0.0, 0.1, 0.2):
+        grid = level_from("\n".join(["." * 12 + "#" + "." * 12] * 4 + ["." * 25] * 12))
+        grid = grid.with_levels([grid], {**grid.metadata, "agentRadius": baked_radius})
+        finder = PathFinder(grid, agent=Agent("robot", radius))
+        assert (finder.grid.free == grid.inflate(radius).free).all()
+        assert finder.grid.describe_radius() == grid.inflate(radius).describe_radius()
+        again = PathFinder(finder.grid, agent=Agent("robot", radius))
+        assert again.grid is finder.grid
+
+
 def test_a_lower_step_takes_less():
     levels = [level_from("..222", ground=0.0), level_from("....", x=0.5, ground=0.2)]
     grid = house_from(levels, [((0, 0, 4), (1, 0, 0))])

@@ -224,6 +224,8 @@ def test_why_not_says_what_is_in_the_way():
     assert "the goal (5, 5, 5) is outside of where the ball fits" in reason
     closed = make_finder(two_rooms(0), 0.2)
     assert "not even a ball of 0.05 m gets through" in closed.why_not(here, there)
+    tiny = make_finder(two_rooms(0), 0.02).why_not(here, there)
+    assert "no way for a radius of 0.02 m" in tiny and "gets through" not in tiny
     assert "fits nowhere" in make_finder(two_rooms(1), 0.6).why_not(here, there)
 
 
