@@ -18,10 +18,11 @@ from types import FrameType
 
 # after a signal, the process ends at the latest after this time, whatever it still does [s]
 SIGNAL_TIMEOUT = 1.5
-GARBAGE_THRESHOLD = 200_000
+GARBAGE_THRESHOLD = 500_000
 """Python collects garbage after this many new objects.
 
-It is more than by default, because imports and compilers make many objects that stay.
+It is more than by default, because imports and compilers make many objects that stay: with fewer,
+a bake whose kernels are loaded from disk would spend a tenth of its time looking for garbage.
 """
 _exit_status: int | None = None
 """The exit status once a signal was raised: 128 + its number, as in shells. None before that."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import statistics
 import subprocess
 import tempfile
@@ -145,6 +146,9 @@ def run_process(command: list[str], environment: dict[str, str] | None = None) -
         subprocess.CalledProcessError: it failed.
     """
     with tempfile.TemporaryFile() as out:
+        environment = dict(os.environ if environment is None else environment)
+        # a command without stored bytecode compiles all of its modules, at each start
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)
         start = time.perf_counter()
         subprocess.run(command, stdout=out, env=environment, check=True)
         seconds = time.perf_counter() - start

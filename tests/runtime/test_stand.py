@@ -679,6 +679,7 @@ def test_a_hidden_target_names_what_is_in_between():
         ("object:table", {"count": 0}, "expected a count >= 1, or None for all, got 0"),
         ("object:table", {"spread": -1}, "expected a spread >= 0 m, got -1"),
         ("object:table", {"facing": "away"}, "expected target as facing, got 'away'"),
+        ("object:table", {"height": math.inf}, "expected a finite height of the shoulder"),
         ("object:rug", {"height": 1.2}, "expected a target of known height .* got rug"),
         ("object:table", {"sight": -1.0}, "expected a sight >= 0 m, got -1"),
         ("object:table", {"footprint": [(0, 0), (1, 0)]}, "expected a polygon"),
