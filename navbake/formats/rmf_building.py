@@ -519,10 +519,12 @@ def _make_lift(link: Link, car: LiftCar, grid: NavGrid, level_names: list[str]) 
         sides = level_doors.setdefault(level_names[stop.level], [])
         if door.side not in sides:
             sides.append(door.side)
-        # the car stands on the level of the first stop that has a floor in the shaft
+        # the car stands on the level of the first stop that has a floor in the shaft; a shaft may
+        # lie beyond the edge of a level, which ends where its floor ends
         level = grid.levels[stop.level]
         row, col = level.lattice.rows_cols(np.array([car.x, car.y]))
-        if initial_level_name is None and np.isfinite(level.floor[row, col]):
+        has_floor = level.lattice.holds(row, col) and np.isfinite(level.floor[row, col])
+        if initial_level_name is None and has_floor:
             initial_level_name = level_names[stop.level]
     return {
         "x": car.x,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 
+import mujoco
 import numpy as np
 import pytest
 import yaml
@@ -161,3 +162,38 @@ def test_a_level_is_laid_flat_at_most_of_its_floor(tmp_path):
     floor = shapely.union_all(outlines).difference(shapely.union_all(holes))
     assert floor.contains(shapely.Point(0.0, -0.5))
     assert floor.contains(shapely.Point(7.0, -3.0))
+
+
+STOREYS_BESIDE_A_SHAFT = """<mujoco><worldbody>
+  <geom type="box" pos="2.5 2 -.1" size="2.5 2 .1"/>
+  <geom type="box" pos="2.5 2 2.9" size="2.5 2 .1"/>
+  <geom name="west" type="box" pos="-.05 2 3" size=".05 2 3"/>
+  <geom name="east" type="box" pos="5.05 2 3" size=".05 2 3"/>
+  <geom name="south" type="box" pos="2.5 -.05 3" size="2.5 .05 3"/>
+  <geom name="north" type="box" pos="2.5 4.05 3" size="2.5 .05 3"/>
+  <body name="car" pos="{x} {y} 0"><joint name="j" type="slide" axis="0 0 1" range="0 3"/>
+    <geom type="box" size=".65 .7 .05" pos="0 0 -.05"/></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("side", "x", "y"),
+    [("west", -0.7, 2.0), ("east", 5.7, 2.0), ("south", 2.5, -0.75), ("north", 2.5, 4.75)],
+)
+@pytest.mark.parametrize("height", [0.0, 1.5, 3.0])
+def test_a_lift_beside_a_level_starts_where_its_car_stands(tmp_path, side, x, y, height):
+    lines = STOREYS_BESIDE_A_SHAFT.format(x=x, y=y).splitlines()
+    # the wall between the storeys and the shaft is left out
+    scene = "\n".join(line for line in lines if f'name="{side}"' not in line)
+    grid = navbake.bake(
+        mujoco.MjModel.from_xml_string(scene),
+        scene={"joints": {"j": height}},
+        links=[{"auto": "lift"}],
+    )
+    # the shaft lies beyond the edge of the levels without the car
+    level = grid.levels[1 if height == 0.0 else 0]
+    assert not level.lattice.holds(*level.lattice.rows_cols((x, y)))
+    grid.convert(tmp_path / "a.building.yaml")
+    lift = load_yaml(tmp_path / "a.building.yaml")["lifts"]["car"]
+    level_names = list(load_yaml(tmp_path / "a.building.yaml")["levels"])
+    assert lift["initial_floor_name"] == level_names[1 if height == 3.0 else 0]
