@@ -3,7 +3,8 @@
 Each level has its floor as polygons with holes, walls, doors that swing or slide, and the lanes of
 a graph of routes. Walls follow the outlines of the grid's wall cells. The building has the lifts
 whose car is known, with a vertex in the car on each level that they serve. A level is flat, at its
-most frequent floor height; floor that is up to 1 m higher or lower is moved to that height.
+most frequent floor height; floor that is up to 1 m higher or lower is moved to that height. Floor
+that is farther from it is left out, with the lanes that lead over it.
 
 The format can't hold stairs, furniture, rooms and links other than lifts: they are left out.
 
@@ -17,16 +18,18 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from navbake.errors import count_of
 from navbake.formats.shapes import trace_polygons
 from navbake.formats.source import Files, import_extra
 from navbake.lazy import lazy
+from navbake.lengths import format_length
 from navbake.navgrid.door_states import DoorLine, find_door_lines, mark_door_cells, name_doors
 from navbake.navgrid.grid import NavGrid, SceneGrid2D
 from navbake.navgrid.lattice import rounded
@@ -69,6 +72,8 @@ REAL_TYPE = 3
 BOOLEAN_TYPE = 4
 # floor that is higher or lower than its level's elevation by more is left out [m]
 MAX_HEIGHT_DIFFERENCE = 1.0
+# a warning tells of floor that is moved up or down by more; less is no ramp and no step [m]
+MIN_TOLD_SHIFT = 0.02
 # a leaf slides if its open cells are nearer to the door's line than this share of its width
 MAX_SLIDE_OFFSET = 0.25
 
@@ -120,8 +125,9 @@ def encode_building(
 ) -> Files:
     """Encode a grid as a building of Open-RMF; log a warning that names the parts left out.
 
-    The warning names links (except lifts whose car is known), steps between levels, and areas;
-    rooms and furniture are left out without a warning.
+    The warning names links (except lifts whose car is known), steps between levels, areas, floor
+    that is too high or too low for its level with the lanes over it, and by how much other floor is
+    moved up or down. Rooms and furniture are left out without a warning.
 
     Args:
         grid: the grid.
@@ -140,19 +146,26 @@ def encode_building(
         level_names = [f"level {level_number}" for level_number in range(len(level_names))]
     lifts = [link for link in grid.links if link.kind == "lift"]
     building_levels = []
+    left_out_floors = []
     for level_number, level in enumerate(grid.levels):
         building_level = _BuildingLevel(_find_elevation(level))
-        _add_floors(building_level, level)
+        left_out_floors.append(_mark_left_out_floor(level, building_level.elevation))
+        _add_floors(building_level, level, left_out_floors[-1])
         _add_walls(building_level, grid, level_number, lifts)
         _add_doors(building_level, grid, level_number)
         building_levels.append(building_level)
-    _add_lanes(building_levels, routes.make_routes(grid, progress=progress))
+    graph = routes.make_routes(grid, progress=progress)
+    left_out_routes = _find_left_out_routes(graph, grid, left_out_floors)
+    _add_lanes(building_levels, graph, left_out_routes)
     lift_entries = {
         link.name: _make_lift(link, LiftCar(link.name, *link.car), grid, level_names)
         for link in lifts
         if link.car is not None
     }
-    _warn_of_omissions(grid, lift_entries)
+    floor_losses = _measure_floor_losses(
+        grid, [building_level.elevation for building_level in building_levels], left_out_floors
+    )
+    _warn_of_omissions(grid, lift_entries, floor_losses, left_out_routes)
     content = {
         "building_name": grid.scene_id or "building",
         "coordinate_system": "cartesian_meters",
@@ -165,8 +178,53 @@ def encode_building(
     return {path: encode_yaml(content)}
 
 
-def _warn_of_omissions(grid: NavGrid, lift_entries: Mapping[str, Json]) -> None:
-    """Log a warning if the grid has links without an entry, steps or areas: they are left out."""
+class _FloorLosses(NamedTuple):
+    """What becomes of free floor because the levels of a building are flat.
+
+    Attributes:
+        left_out_area: the area that is left out [m²].
+        largest_shift: how far other floor is moved up or down, at most [m].
+    """
+
+    left_out_area: float
+    largest_shift: float
+
+
+def _measure_floor_losses(
+    grid: NavGrid, elevations: Sequence[float], left_out_floors: Sequence[Bool]
+) -> _FloorLosses:
+    """Measure how much free floor is left out, and how far the other is moved up or down.
+
+    Args:
+        grid: the grid.
+        elevations: the elevation of each level of the building [m].
+        left_out_floors: the floor of each level that is left out, see `_mark_left_out_floor`.
+    """
+    left_out_area = 0.0
+    largest_shift = 0.0
+    for level, elevation, is_left_out in zip(grid.levels, elevations, left_out_floors, strict=True):
+        num_cells = int(np.count_nonzero(level.free & is_left_out))
+        left_out_area += num_cells * level.lattice.cell_size**2
+        heights = level.floor[level.free & ~is_left_out & ~np.isnan(level.floor)]
+        level_shift = float(np.abs(heights - elevation).max(initial=0.0))
+        largest_shift = max(largest_shift, level_shift)
+    return _FloorLosses(left_out_area, largest_shift)
+
+
+def _warn_of_omissions(
+    grid: NavGrid,
+    lift_entries: Mapping[str, Json],
+    floor_losses: _FloorLosses,
+    left_out_routes: _LeftOutRoutes,
+) -> None:
+    """Log a warning if something of the grid is left out, or floor is laid flat.
+
+    Args:
+        grid: the grid: its steps, its areas and its links without an entry are left out.
+        lift_entries: the entry of each lift by its name.
+        floor_losses: what becomes of the floor.
+        left_out_routes: the lanes that are left out with their floor.
+    """
     omitted_names = [
         f"the link {link.name!r}" for link in grid.links if link.name not in lift_entries
     ]
@@ -174,10 +232,24 @@ def _warn_of_omissions(grid: NavGrid, lift_entries: Mapping[str, Json]) -> None:
         omitted_names.append("steps between levels")
     if grid.areas:
         omitted_names.append("areas")
-    if omitted_names:
-        LOG.warning(
-            "buildings of Open-RMF have no place for %s: left out", ", ".join(omitted_names)
+    if floor_losses.left_out_area:
+        omitted_names.append(
+            f"{floor_losses.left_out_area:.2f} m² of free floor more than "
+            f"{MAX_HEIGHT_DIFFERENCE:g} m above or below its level's elevation"
         )
+    if left_out_routes.lanes:
+        omitted_names.append(f"{count_of(len(left_out_routes.lanes), 'lane')} over such floor")
+    sentences = []
+    if omitted_names:
+        names_text = ", ".join(omitted_names)
+        sentences.append(f"buildings of Open-RMF have no place for {names_text}: left out")
+    if floor_losses.largest_shift > MIN_TOLD_SHIFT:
+        sentences.append(
+            "levels of Open-RMF are flat: floor is laid at its level's elevation, up to "
+            f"{format_length(floor_losses.largest_shift)} m higher or lower than it is"
+        )
+    if sentences:
+        LOG.warning("%s", "; ".join(sentences))
 
 
 def _find_elevation(level: SceneGrid2D) -> float:
@@ -192,10 +264,24 @@ def _find_elevation(level: SceneGrid2D) -> float:
     return float(heights[counts.argmax()])
 
 
-def _add_floors(building_level: _BuildingLevel, level: SceneGrid2D) -> None:
-    """Add a level's floor as polygons, and the holes in them."""
+def _mark_left_out_floor(level: SceneGrid2D, elevation: float) -> Bool:
+    """Mark the cells whose floor is too high or too low for the flat level of a building.
+
+    Args:
+        level: the level of the grid.
+        elevation: the elevation of the building's level [m].
+
+    Returns:
+        The mask, shape (height, width); False where there is no floor.
+    """
     with np.errstate(invalid="ignore"):
-        is_floor = np.abs(level.floor - building_level.elevation) <= MAX_HEIGHT_DIFFERENCE
+        is_left_out: Bool = np.abs(level.floor - elevation) > MAX_HEIGHT_DIFFERENCE
+    return is_left_out
+
+
+def _add_floors(building_level: _BuildingLevel, level: SceneGrid2D, is_left_out: Bool) -> None:
+    """Add a level's floor as polygons, and the holes in them, without the cells left out."""
+    is_floor = ~np.isnan(level.floor) & ~is_left_out
     for outline, *holes in trace_polygons(is_floor.astype(np.uint8), level.lattice).get(1, []):
         building_level.floors.append(_make_polygon(building_level, outline))
         building_level.holes += [_make_polygon(building_level, hole) for hole in holes]
@@ -398,13 +484,64 @@ def _find_motion(
 # ---------------------------------------------------------------- lanes and lifts
 
 
-def _add_lanes(building_levels: list[_BuildingLevel], graph: RouteGraph) -> None:
+class _LeftOutRoutes(NamedTuple):
+    """The part of a graph of routes that is on floor which a building leaves out.
+
+    Attributes:
+        nodes: the indices of the nodes that stand on such floor.
+        lanes: the indices of the lanes on a level that begin on it, end on it, or lead over it.
+    """
+
+    nodes: frozenset[int]
+    lanes: frozenset[int]
+
+
+def _find_left_out_routes(
+    graph: RouteGraph, grid: NavGrid, left_out_floors: Sequence[Bool]
+) -> _LeftOutRoutes:
+    """Find the nodes and lanes on floor that is left out.
+
+    Args:
+        graph: the grid's graph of routes.
+        grid: the grid.
+        left_out_floors: the floor of each level that is left out, see `_mark_left_out_floor`.
+    """
+    node_indices = set()
+    for node_index, node in enumerate(graph.nodes):
+        row, col = grid.levels[node.level].lattice.rows_cols(node.position)
+        if left_out_floors[node.level][row, col]:
+            node_indices.add(node_index)
+    lane_indices = set()
+    for lane_index, lane in enumerate(graph.lanes):
+        start = graph.nodes[lane.start]
+        end = graph.nodes[lane.end]
+        if lane.link is not None or start.level != end.level:
+            continue
+        lattice = grid.levels[start.level].lattice
+        # both ends, and points between them that are at most half a cell apart
+        num_points = 2 + math.ceil(2 * lane.length / lattice.cell_size)
+        points = np.linspace(start.position[:2], end.position[:2], num_points)
+        rows, cols = lattice.rows_cols(points)
+        if left_out_floors[start.level][rows, cols].any():
+            lane_indices.add(lane_index)
+    return _LeftOutRoutes(frozenset(node_indices), frozenset(lane_indices))
+
+
+def _add_lanes(
+    building_levels: list[_BuildingLevel], graph: RouteGraph, left_out_routes: _LeftOutRoutes
+) -> None:
     """Add the lanes of the grid's graph of routes, except those over links and between levels.
 
     The graph that Open-RMF makes of a building takes all vertices in a lift's shaft for vertices of
     the lift. So a lift has one vertex there, in the middle of its car, on each level that it
     serves, with lanes to the landings; nodes on the floor of a car are left out, and landings in a
     shaft are moved out of it.
+
+    Args:
+        building_levels: the levels, to which the lanes are added.
+        graph: the grid's graph of routes.
+        left_out_routes: the nodes and lanes that are left out with their floor; landings among
+            them have no lanes to the car. Other nodes that no lane needs then are left out, too.
     """
     car_plans = [plan for plan in plan_cars(graph).values() if not plan.is_guess]
     nodes_in_shafts = find_nodes_in_cars(graph, car_plans, SHAFT_MARGIN)
@@ -426,16 +563,22 @@ def _add_lanes(building_levels: list[_BuildingLevel], graph: RouteGraph) -> None
             lane_fields["speed_limit"] = [REAL_TYPE, lane.speed]
         building_levels[level].lanes.append([start, end, lane_fields])
 
-    for lane in graph.lanes:
+    for lane_index, lane in enumerate(graph.lanes):
+        if lane_index in left_out_routes.lanes:
+            continue
         level = graph.nodes[lane.start].level
         is_in_shaft = lane.start in nodes_in_shafts or lane.end in nodes_in_shafts
         if level == graph.nodes[lane.end].level and lane.link is None and not is_in_shaft:
             add_lane(level, add_node(lane.start), add_node(lane.end), lane)
     for stop in make_car_stops(graph, car_plans):
+        entries = [node for node in stop.entries if node not in left_out_routes.nodes]
+        exits = [node for node in stop.exits if node not in left_out_routes.nodes]
+        if not entries and not exits:
+            continue
         car_vertex = building_levels[stop.level].add_vertex(stop.x, stop.y, stop.name)
-        for node_index in stop.entries:
+        for node_index in entries:
             add_lane(stop.level, add_node(node_index), car_vertex)
-        for node_index in stop.exits:
+        for node_index in exits:
             add_lane(stop.level, car_vertex, add_node(node_index))
 
 

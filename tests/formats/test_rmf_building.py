@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 import navbake
+from grid_maps import level_from
 from open_rmf import check_lifts, load_as_adapter, load_yaml, make_nav_graph
 from project_paths import GOLDEN, ROOT
 
@@ -152,14 +153,7 @@ def test_a_level_is_laid_flat_at_most_of_its_floor(tmp_path):
     content = yaml.safe_load((tmp_path / "tower.building.yaml").read_text(encoding="utf-8"))
     first = next(iter(content["levels"].values()))
     shapely = pytest.importorskip("shapely")
-    outlines, holes = (
-        [
-            shapely.Polygon([first["vertices"][v][:2] for v in part["vertices"]])
-            for part in first[key]
-        ]
-        for key in ("floors", "holes")
-    )
-    floor = shapely.union_all(outlines).difference(shapely.union_all(holes))
+    floor = floor_of(first)
     assert floor.contains(shapely.Point(0.0, -0.5))
     assert floor.contains(shapely.Point(7.0, -3.0))
 
@@ -197,3 +191,54 @@ def test_a_lift_beside_a_level_starts_where_its_car_stands(tmp_path, side, x, y,
     lift = load_yaml(tmp_path / "a.building.yaml")["lifts"]["car"]
     level_names = list(load_yaml(tmp_path / "a.building.yaml")["levels"])
     assert lift["initial_floor_name"] == level_names[1 if height == 3.0 else 0]
+
+
+def floor_of(level):
+    """The floor of a level of a building, as a polygon of shapely."""
+    shapely = pytest.importorskip("shapely")
+    outlines, holes = (
+        [
+            shapely.Polygon([level["vertices"][v][:2] for v in part["vertices"]])
+            for part in level[key]
+        ]
+        for key in ("floors", "holes")
+    )
+    return shapely.union_all(outlines).difference(shapely.union_all(holes))
+
+
+def test_floor_far_from_its_level_is_left_out_with_its_lanes_and_told(tmp_path, caplog):
+    shapely = pytest.importorskip("shapely")
+    grid = navbake.load(GOLDEN / "warehouse.grid.json.gz")  # a dock lies 1.2 m over the yard
+    with caplog.at_level(logging.WARNING):
+        grid.convert(tmp_path / "a.building.yaml")
+    content = load_yaml(tmp_path / "a.building.yaml")
+    left_out_area = 0.0
+    largest_shift = 0.0
+    num_lanes = 0
+    for level, building_level in zip(grid.levels, content["levels"].values(), strict=True):
+        shifts = np.abs(level.floor[level.free] - building_level["elevation"])
+        left_out_area += np.count_nonzero(shifts > 1.0) * level.cell_size**2
+        largest_shift = max(largest_shift, shifts[shifts <= 1.0].max())
+        floor = floor_of(building_level).buffer(0.01)
+        vertices = building_level["vertices"]
+        num_lanes += len(building_level["lanes"])
+        for start, end, _ in building_level["lanes"]:
+            line = shapely.LineString([vertices[start][:2], vertices[end][:2]])
+            assert floor.contains(line)
+        # a name stands for a node, and each of them is an end of a lane
+        ends = {end for lane in building_level["lanes"] for end in lane[:2]}
+        assert all(k in ends for k, vertex in enumerate(vertices) if vertex[3])
+    assert left_out_area > 30.0
+    left_out_lanes = [lane for lane in grid.routes().lanes if lane.kind == "floor"]
+    num_left_out = len(left_out_lanes) - num_lanes
+    assert num_left_out > 20
+    assert f"{left_out_area:.2f} m² of free floor more than 1 m above or below" in caplog.text
+    assert f"{num_left_out} lanes over such floor" in caplog.text
+    assert f"up to {largest_shift:.2f} m higher or lower than it is" in caplog.text
+
+
+def test_nothing_is_told_of_level_floors(tmp_path, caplog):
+    grid = level_from("\n".join(["." * 30] * 30))
+    with caplog.at_level(logging.WARNING):
+        grid.convert(tmp_path / "a.building.yaml")
+    assert caplog.text == ""
