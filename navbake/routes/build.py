@@ -5,7 +5,7 @@ medial axis of the free cells. Where a free cell is farther than `MAX_NODE_DISTA
 these, waypoints are added. Lanes are straight lines on which the disc of an agent overlaps no
 obstacle (`Search.can_pass`), and links. They form a greedy spanner: a lane is left out if a route
 over shorter lanes costs at most 5 % more. Where two nodes are near and such a route is missing, the
-corners of the path between them become nodes.
+corners of the path between them become nodes. Then the spanner is made again, of all nodes.
 
 Source: Althöfer et al. 1993 for the spanner; Zhang and Suen 1984 for thinning.
 """
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -144,7 +144,10 @@ class _Builder:
         self._add_waypoints()
         self._add_lanes_of_links()
         self._add_lanes_in_sight()
+        num_nodes = len(self.nodes)
         self._add_paths_between_neighbors(progress)
+        if len(self.nodes) > num_nodes:
+            self._choose_floor_lanes_again()
         graph = self._make_graph()
         progress("routes", 1.0)
         return graph
@@ -209,6 +212,15 @@ class _Builder:
         self.nodes_of_square.setdefault(_square_of(node), []).append(new_index)
         self.lane_graph.add_node(x, y)
         return new_index
+
+    def _remove_nodes_from(self, first_node: int) -> None:
+        """Remove the nodes from an index on: those that were added last, and have no lanes yet."""
+        while len(self.nodes) > first_node:
+            node = self.nodes.pop()
+            cell = self.node_cells.pop()
+            self.nodes_of_cell[cell].pop()
+            self.nodes_of_square[_square_of(node)].pop()
+            self.lane_graph.remove_last_node()
 
     def _find_nodes_near(self, cell: int, max_distance: float) -> dict[int, float]:
         """Find the nodes that are nearer to a cell's centre than a distance, on the same level.
@@ -455,13 +467,40 @@ class _Builder:
             self._add_straight_lane(start, end, self._lane_cost(start, end), stairs.kind)
 
     def _add_lanes_in_sight(self) -> None:
-        """Add lanes between nodes that see each other, unless a route over shorter lanes exists.
+        """Add lanes between nodes that see each other, as `_add_shortest_lanes` chooses them."""
+        self._add_shortest_lanes(self._find_pairs_in_sight(), free_lane_costs={})
 
-        Such a route counts if it costs at most `MAX_DETOUR_FACTOR` as much as the lane.
+    def _choose_floor_lanes_again(self) -> None:
+        """Choose the lanes on floors again, as corners of paths have become nodes since.
+
+        The lanes that there are, and all between nodes that see each other, are chosen from. So a
+        corner has lanes to the nodes near it, and takes the place of lanes that pass it.
+        """
+        free_lane_costs = {
+            (min(lane.start, lane.end), max(lane.start, lane.end)): lane.cost
+            for lane in self.lanes
+            if lane.kind == FLOOR
+        }
+        other_lanes = [lane for lane in self.lanes if lane.kind != FLOOR]
+        self.lanes = []
+        self.lane_graph = LaneGraph(self.least_weight)
+        for node in self.nodes:
+            self.lane_graph.add_node(*node.position[:2])
+        for lane in other_lanes:
+            self._add_lane(lane)
+        path_pairs = np.array(list(free_lane_costs), dtype=np.int64).reshape(-1, 2)
+        node_pairs = np.concatenate([self._find_pairs_in_sight(), path_pairs])
+        self._add_shortest_lanes(np.unique(node_pairs, axis=0), free_lane_costs)
+
+    def _find_pairs_in_sight(self) -> Int:
+        """Find the pairs of nodes of a level that may see each other, not too far apart.
+
+        Returns:
+            The indices of the nodes, the lower one first, shape (n, 2).
         """
         positions = np.array([node.position for node in self.nodes])
         levels = np.array([node.level for node in self.nodes])
-        pairs_of_levels = []
+        pairs_of_levels = [np.empty((0, 2), dtype=np.int64)]
         for level in range(self.flat.num_levels):
             nodes = np.flatnonzero(levels == level)
             if len(nodes) > 1:
@@ -469,17 +508,37 @@ class _Builder:
                 node_tree = spatial.cKDTree(node_points)
                 near_pairs = node_tree.query_pairs(MAX_LANE_LENGTH, output_type="ndarray")
                 pairs_of_levels.append(nodes[self._drop_blocked(near_pairs, node_points, level)])
-        if not pairs_of_levels:
+        node_pairs: Int = np.sort(np.concatenate(pairs_of_levels), axis=1)
+        return node_pairs
+
+    def _add_shortest_lanes(
+        self, node_pairs: Int, free_lane_costs: Mapping[tuple[int, int], float]
+    ) -> None:
+        """Add free lanes between nodes, the shortest first, unless there is a route without them.
+
+        A route counts if it leads over the lanes so far, and costs at most `MAX_DETOUR_FACTOR` as
+        much as the lane.
+
+        Args:
+            node_pairs: the indices of the nodes, the lower one first, shape (n, 2).
+            free_lane_costs: pairs whose lanes are known to be free -> cost of the lane [m]. Other
+                lanes may lead through the doors at their ends only.
+        """
+        if not len(node_pairs):
             return
-        node_pairs = np.sort(np.concatenate(pairs_of_levels), axis=1)
         for node, target_node, length in self._shortest_first(node_pairs):
             least_cost = length * self.least_weight
             if not self._needs_lane(node, target_node, MAX_DETOUR_FACTOR * least_cost):
                 continue
-            lane_cost = self._lane_cost(node, target_node)
-            if self._needs_lane(
-                node, target_node, MAX_DETOUR_FACTOR * lane_cost
-            ) and self._is_lane_free(node, target_node, self._doors_of_ends(node, target_node)):
+            is_known_free = (node, target_node) in free_lane_costs
+            if is_known_free:
+                lane_cost = free_lane_costs[node, target_node]
+            else:
+                lane_cost = self._lane_cost(node, target_node)
+            if self._needs_lane(node, target_node, MAX_DETOUR_FACTOR * lane_cost) and (
+                is_known_free
+                or self._is_lane_free(node, target_node, self._doors_of_ends(node, target_node))
+            ):
                 self._add_straight_lane(node, target_node, lane_cost)
 
     def _needs_lane(self, node: int, target_node: int, max_cost: float) -> bool:
@@ -597,7 +656,8 @@ class _Builder:
     def _add_path(self, start_node: int, end_node: int, allowed_doors: set[str | None]) -> None:
         """Add the path between two nodes of a level: nodes at its corners, and lanes between them.
 
-        Nothing is added if a route over lanes is about as short, or the path leaves the level.
+        Nothing is added if a route over lanes is about as short, the path leaves the level, or one
+        of its lanes is not free or leads through another door.
 
         Args:
             start_node: index of the first node.
@@ -631,14 +691,22 @@ class _Builder:
         path_cost = lane_kernels.measure_polyline(positions, level, self.search.graph)
         if not self._needs_lane(start_node, end_node, MAX_DETOUR_FACTOR * path_cost):
             return
+        num_nodes = len(self.nodes)
         corner_nodes = self._corner_nodes(start_node, end_node, positions, level)
-        for corner_node, next_corner_node in itertools.pairwise(corner_nodes):
-            if corner_node == next_corner_node:
-                continue
-            lane_cost = self._lane_cost(corner_node, next_corner_node)
-            if self._needs_lane(corner_node, next_corner_node, lane_cost) and self._is_lane_free(
-                corner_node, next_corner_node, allowed_doors
-            ):
+        lane_costs = {
+            (corner_node, next_corner_node): self._lane_cost(corner_node, next_corner_node)
+            for corner_node, next_corner_node in itertools.pairwise(corner_nodes)
+            if corner_node != next_corner_node
+        }
+        if not all(
+            math.isfinite(lane_cost) and self._is_lane_free(*lane_ends, allowed_doors)
+            for lane_ends, lane_cost in lane_costs.items()
+        ):
+            # lanes over some of the corners would lead nowhere
+            self._remove_nodes_from(num_nodes)
+            return
+        for (corner_node, next_corner_node), lane_cost in lane_costs.items():
+            if self._needs_lane(corner_node, next_corner_node, lane_cost):
                 self._add_straight_lane(corner_node, next_corner_node, lane_cost)
 
     def _corner_nodes(self, start_node: int, end_node: int, path: Float, level: int) -> list[int]:

@@ -31,6 +31,11 @@ class LaneGraph:
         self._points.append((x, y))
         self._lanes_from.append([])
 
+    def remove_last_node(self) -> None:
+        """Remove the node that was added last; no lane may lead from or to it."""
+        self._points.pop()
+        self._lanes_from.pop()
+
     def add_lane(self, start: int, end: int, cost: float) -> None:
         """Add a lane in one direction.
 

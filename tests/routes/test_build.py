@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
+import mujoco
 import numpy as np
 import pytest
 import shapely
@@ -21,6 +23,7 @@ from navbake.navgrid.links import Agent
 from navbake.routes import lane_kernels
 from navbake.routes.build import make_routes, thin_mask
 from navbake.routes.lane_graph import LaneGraph
+from navbake.runtime.flat_grid import find_leaf_cells
 from navbake.runtime.grid_arrays import COL_STEP, ROW_STEP
 from project_paths import GOLDEN
 from route_ratios import TOLL, with_toll, worst_ratio
@@ -73,6 +76,87 @@ def test_no_lane_meets_an_occupied_square(made):
             near = tree.query(line, predicate="dwithin", distance=graph.radius - 1e-5)
             over = [grid.at(centers[k], 1).free for k in near] if len(facts.levels) > 1 else []
             assert all(over) and len(over) == len(near)
+
+
+def find_detours(grid, graph, max_distance):
+    """Pairs of nodes with a free lane between them, and a route that costs over 5 % more.
+
+    Returns the names of the nodes, the cost of the lane, and that of the route.
+    """
+    is_inflated = grid.inflated_radius >= graph.radius
+    search = navbake.PathFinder(grid if is_inflated else grid.inflate(graph.radius)).search
+    flat = search.flat
+    door_of_cell = {
+        cell: door.id for door in grid.doors for cell in find_leaf_cells(door, flat).tolist()
+    }
+    route_costs = graph.distances()
+    detours = []
+    for i, j in itertools.combinations(range(len(graph.nodes)), 2):
+        one, other = graph.nodes[i], graph.nodes[j]
+        ends = one.position[:2], other.position[:2]
+        if one.level != other.level or not 0 < math.dist(*ends) <= max_distance:
+            continue
+        cells = [int(flat.cells_at(end, one.level)) for end in ends]
+        if not lane_kernels.sees(*cells, search.graph, search.off_center):
+            continue
+        on_lane = lane_kernels.sample_line(*ends, one.level, flat.layout).tolist()
+        doors = {door_of_cell.get(cell) for cell in on_lane}
+        if not doors <= {None, one.door, other.door}:
+            continue
+        weight = lane_kernels.measure_mean_weight(*ends, one.level, search.graph)
+        cost = math.dist(*ends) * weight
+        if route_costs[i, j] > 1.05 * cost + 1e-5:
+            detours.append((one.name, other.name, cost, route_costs[i, j]))
+    return detours
+
+
+def test_no_lane_between_nodes_in_sight_would_save_over_five_percent(made):
+    # corners of paths are nodes like all others: some lay 0.1 m apart, joined over 6 m
+    grid, graph = made
+    assert find_detours(grid, graph, max_distance=4.0) == []
+
+
+TWO_ROOMS_WITH_A_DOOR = """<mujoco><worldbody>
+  <geom type="box" pos="3 2 -.1" size="3 2 .1"/>
+  <geom type="box" pos="3 .05 1.2" size="3 .05 1.2"/>
+  <geom type="box" pos="3 3.95 1.2" size="3 .05 1.2"/>
+  <geom type="box" pos=".05 2 1.2" size=".05 2 1.2"/>
+  <geom type="box" pos="5.95 2 1.2" size=".05 2 1.2"/>
+  <geom type="box" pos="3 .8 1.2" size=".05 .7 1.2"/>
+  <geom type="box" pos="3 3.15 1.2" size=".05 .75 1.2"/>
+  <body name="door" pos="3 1.5 1"><joint axis="0 0 1" range="0 92"/>
+    <geom type="box" pos="0 .45 0" size=".02 .44 1"/></body>
+  {boxes}
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_nodes_near_a_door_are_joined_to_its_node(seed):
+    # where a path between two rooms can't take a lane through the door, its corners lay beside the
+    # door's node without a lane to it
+    rng = np.random.default_rng(seed)
+    boxes = "".join(
+        f'<geom type="box" pos="{x} {y} .3" size="{half_size} {half_size} .3"/>'
+        for x, y, half_size in rng.uniform((0.3, 0.3, 0.05), (5.7, 3.7, 0.2), (14, 3))
+        if not 2.6 < x < 3.4
+    )
+    grid = navbake.bake(
+        mujoco.MjModel.from_xml_string(TWO_ROOMS_WITH_A_DOOR.format(boxes=boxes)),
+        doors={"state": "open"},
+        agent={"radius": 0.1},
+    )
+    graph = make_routes(grid)
+    assert "door" in {node.kind for node in graph.nodes}
+    assert find_detours(grid, graph, max_distance=4.0) == []
+    for node in graph.nodes:
+        is_at_door = node.kind == "waypoint" and math.dist(node.position[:2], (3.0, 1.95)) < 0.5
+        num_lanes = sum(graph.index_of(node.name) in (lane.start, lane.end) for lane in graph.lanes)
+        assert num_lanes >= 2 or not is_at_door
+
+
+def test_a_grid_without_room_for_the_agent_has_an_empty_graph():
+    graph = make_routes(sample("apartment"), Agent("wide", radius=0.45))
+    assert graph.nodes == () and graph.lanes == ()
 
 
 def test_doors_rooms_and_stops_are_nodes():
