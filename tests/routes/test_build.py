@@ -325,6 +325,17 @@ def test_lane_graph_finds_the_routes_that_dijkstra_finds():
                     assert start == end or not lane_graph.has_route(start, end, cost * 0.999)
 
 
+def test_a_node_added_after_others_were_removed_has_no_lanes():
+    lane_graph = LaneGraph(least_weight=1.0)
+    lane_graph.add_node(0.0, 0.0)
+    lane_graph.add_node(5.0, 0.0)
+    lane_graph.remove_last_node()
+    lane_graph.add_node(1.0, 0.0)
+    assert not lane_graph.has_route(0, 1, math.inf)
+    lane_graph.add_lane(0, 1, 1.0)
+    assert lane_graph.has_route(0, 1, 1.0)
+
+
 def thin_plainly(mask):
     """Zhang and Suen's thinning, cell by cell."""
     mask = np.pad(mask, 1)
