@@ -162,7 +162,9 @@ class DoorPose(NamedTuple):
 
     Attributes:
         data: The pose, with kinematics computed.
-        removed_geoms: The ids of the geoms of removed doors.
+        removed_geoms: The ids of the geoms that the pose lacks: those of removed doors, and of
+            open doors that no single hinge or slide moves, as a bake takes these out of their
+            openings.
         floorless_geoms: The ids of the geoms that carry no floor: geoms of doors, and geoms that
             can move, except the cars of lifts.
         unknown_doors: The ids of doors that the scene does not have.
@@ -208,12 +210,11 @@ def pose_doors(scene: Scene, grid: GridBase) -> DoorPose:
             continue
         door_geoms = set(geoms_of_bodies(model, body, int(subtree_ends[body])).tolist())
         floorless_geoms |= door_geoms
-        if door.state == "removed":
-            removed_geoms |= door_geoms
-            continue
         joint_position = _joint_position(model, body, door)
         if joint_position is not None:
             data.qpos[model.jnt_qposadr[model.body_jntadr[body]]] = joint_position
+        elif door.state in ("open", "removed"):  # an open door that no joint opens is taken out
+            removed_geoms |= door_geoms
     mujoco.mj_kinematics(model, data)
     return DoorPose(data, removed_geoms, floorless_geoms, unknown_doors)
 
@@ -222,8 +223,8 @@ def _joint_position(model: mujoco.MjModel, body: int, door: Door) -> float | Non
     """Return the position of a door's joint in the door's state [rad, or m for a sliding door].
 
     A closed door is at 0, or at the position of its range that is nearest to 0. An open one is at
-    the end of the range that is farther from there. None if the pose stays as modelled: for other
-    states, and for a door that does not have exactly one joint, a hinge or a slide.
+    the end of the range that is farther from there. None if no joint moves the door: in other
+    states, and if its body does not have exactly one joint, a hinge or a slide.
     """
     joint_id = int(model.body_jntadr[body])
     if door.state not in ("open", "closed") or joint_id < 0 or model.body_jntnum[body] != 1:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import warnings
 
+import mujoco
 import numpy as np
 import pytest
 import trimesh
@@ -17,6 +19,19 @@ from navbake.testing import assert_true
 from navbake.verifier import report as kinds
 from navbake.verifier.probes import TOUCHES, ObstacleProbe
 from verified_scenes import ROOM, copy_of, mesh_room, of_room, write
+
+# attributes and joints of the body of a leaf that no single hinge or slide moves
+LEAVES_WITHOUT_A_SINGLE_JOINT = {
+    "no joint": ("", ""),
+    "mocap": ('mocap="true"', ""),
+    "free joint": ("", "<freejoint/>"),
+    "ball": ("", '<joint type="ball"/>'),
+    "two hinges": (
+        "",
+        '<joint name="a" axis="0 0 1" range="0 90"/>'
+        '<joint name="b" axis="0 0 1" pos="0 0.88 0" range="0 90"/>',
+    ),
+}
 
 # ---------------------------------------------------------------- what is true
 
@@ -64,6 +79,27 @@ def test_doors_stand_as_the_grid_says(tmp_path, state):
         wrong = grid.with_layers(metadata=metadata)
         found = navbake.verify(wrong, path)
         assert {kinds.BLOCKED_APART} <= {f.kind for f in found.findings}
+
+
+@pytest.mark.parametrize("state", ["modelled", "open", "closed", "removed"])
+@pytest.mark.parametrize("kind", LEAVES_WITHOUT_A_SINGLE_JOINT)
+def test_open_doors_without_a_single_joint_are_taken_out_as_in_a_bake(kind, state):
+    """As the warning of the bake says, too."""
+    attributes, content = LEAVES_WITHOUT_A_SINGLE_JOINT[kind]
+    leaf = f'<body name="leaf" pos="3 1.06 0" {attributes}>{content}'
+    leaf += '<geom type="box" pos="0 0.44 1" size="0.02 0.43 1"/></body>'
+    model = mujoco.MjModel.from_xml_string(door_world(ROOMS, leaf))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        grid = navbake.bake(model, doors={"patterns": ["leaf"], "state": state})
+    assert [(door.id, door.joint, door.state) for door in grid.doors] == [("leaf", None, state)]
+    is_way_free = state in ("open", "removed")
+    assert grid.at((3.0, 1.5)).free == is_way_free
+    is_told = any("not moved by exactly one hinge or slide" in str(text.message) for text in told)
+    assert is_told == (state == "open")
+    assert_true(grid, model)
+    baked_as_modelled = navbake.bake(model, doors={"patterns": ["leaf"]})
+    assert_true(baked_as_modelled.with_doors(state), model)
 
 
 def test_meshes_count_as_they_are_baked(tmp_path):

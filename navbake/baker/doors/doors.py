@@ -436,8 +436,8 @@ def warn_doors(
 ) -> list[str]:
     """Return the warnings about doors.
 
-    They name doors whose open state still blocks their doorway, doors that should be open but have
-    no joint, and doors with a top that an agent could walk on.
+    They name doors whose open state still blocks their doorway, doors that should be open but that
+    no single hinge or slide moves, and doors with a top that an agent could walk on.
 
     Args:
         doors: the doors.
@@ -454,8 +454,8 @@ def warn_doors(
     no_joint_warnings = []
     if wanted_state == "open":
         no_joint_warnings = [
-            f"door {door.candidate.id!r} has no hinge or slide of its own: open, it is taken out "
-            "of its opening"
+            f"door {door.candidate.id!r} is not moved by exactly one hinge or slide of its own: "
+            "open, it is taken out of its opening"
             for door in doors
             if not door.candidate.positions
         ]

@@ -52,7 +52,7 @@ class DoorCandidate:
             single hinge or slide.
         geoms: ids of the geoms of the body and its descendants that count, shape (n,).
         positions: state (``modelled``, ``open``, ``closed``) -> the joint's position [rad or m];
-            empty without a joint.
+            empty if the body can't move by a single hinge or slide.
         joint_id: MuJoCo's id of the joint; -1 for none.
         is_named: whether a pattern or the scene's file names the body. If not, it is a candidate
             because it looks like a leaf.
@@ -66,7 +66,7 @@ class DoorCandidate:
     is_named: bool
 
     def position(self, state: str) -> float | None:
-        """Return the joint's position in a state [rad or m]; None without a joint.
+        """Return the joint's position in a state [rad or m]; None if `positions` is empty.
 
         Args:
             state: a key of `positions`; any other state has the modelled position.
