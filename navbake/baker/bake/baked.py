@@ -114,6 +114,8 @@ class BakedPose:
         links: the named links.
         name_boxes: name -> the box round all geoms of that name, see `measure_names`; empty if the
             settings ask for no names in cells.
+        uncounted_warnings: the warnings of `warn_uncounted`: drawn geoms on the floor that don't
+            count.
     """
 
     scene: Scene
@@ -126,6 +128,7 @@ class BakedPose:
     areas: PaintedAreas
     links: BakedLinks
     name_boxes: dict[str, list[float]]
+    uncounted_warnings: list[str]
 
     @property
     def door_leaves(self) -> list[ClassifiedLeaf]:

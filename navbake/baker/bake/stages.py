@@ -494,14 +494,6 @@ class Stages:
                 rooms=self.rooms,
                 boxes=boxes,
                 hole_areas=self.hole_areas,
-                uncounted_warnings=warn_uncounted(
-                    self.scene,
-                    self.floors,
-                    self.occupancy,
-                    lattice=self.lattice,
-                    footprint=self.footprint,
-                    agent=self.config.agent,
-                ),
             ),
         )
 
@@ -535,6 +527,7 @@ class Stages:
             areas=self.areas,
             links=self.links,
             name_boxes=name_boxes,
+            uncounted_warnings=warn_uncounted(self.scene, self.movable_inputs),
         )
 
     @property

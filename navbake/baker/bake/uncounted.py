@@ -6,8 +6,6 @@ import numpy as np
 
 from navbake.baker.core.constants import PLANE
 from navbake.baker.floors.levels import Floors
-from navbake.baker.occupancy.footprint import Footprint
-from navbake.baker.occupancy.occupancy import StructureOccupancy
 from navbake.baker.occupancy.volume_kernels import BLOCKING
 from navbake.baker.occupants.movable import MovableSearchInputs, find_movable_occupants
 from navbake.baker.scene.collect import (
@@ -33,15 +31,7 @@ MAX_NAMED_GEOMS = 5  # geoms that the warning names
 MIN_THICKNESS = 0.02
 
 
-def warn_uncounted(
-    scene: Scene,
-    floors: Floors,
-    occupancy: StructureOccupancy,
-    *,
-    lattice: Lattice,
-    footprint: Footprint,
-    agent: AgentSettings,
-) -> list[str]:
+def warn_uncounted(scene: Scene, inputs: MovableSearchInputs) -> list[str]:
     """Warn of drawn geoms that stand on free floor, but don't block it, because they can't collide.
 
     Such geoms don't count in the bake: their contype and conaffinity are 0. If they collide at all,
@@ -49,23 +39,24 @@ def warn_uncounted(
 
     Args:
         scene: the posed scene.
-        floors: the floors of all levels.
-        occupancy: the cells that structure occupies.
-        lattice: the whole lattice.
-        footprint: the volume over a floor that has to be free.
-        agent: the agent, whose step and height are used.
+        inputs: the inputs of the search for movables: floors, and the cells that structure
+            occupies.
 
     Returns:
         One warning, which names the largest things; or none.
     """
-    is_candidate = _mark_candidates(scene)
+    is_candidate = mark_drawn_uncounted(scene)
     if not is_candidate.any():
         return []
     free_by_level = [
         level.standable & ~is_occupied
-        for level, is_occupied in zip(floors.levels, occupancy.levels, strict=True)
+        for level, is_occupied in zip(
+            inputs.floors.levels, inputs.structure_occupancy.levels, strict=True
+        )
     ]
-    is_candidate &= _mark_over_free_floor(scene, floors, free_by_level, lattice, agent)
+    is_candidate &= _mark_over_free_floor(
+        scene, inputs.floors, free_by_level, inputs.lattice, inputs.agent
+    )
     candidate_geoms = np.flatnonzero(is_candidate)
     if not len(candidate_geoms):
         return []
@@ -81,7 +72,6 @@ def warn_uncounted(
         geom_ids=selections,
         meshes=scene.meshes,
     )
-    inputs = MovableSearchInputs(lattice, floors, occupancy, footprint, agent, scene.mover_of_geom)
     occupants = find_movable_occupants(inputs, shapes, is_candidate)
     num_blocked_cells = np.zeros(len(is_candidate), dtype=np.int64)
     num_free_cells = np.zeros(len(is_candidate), dtype=np.int64)
@@ -92,7 +82,7 @@ def warn_uncounted(
             is_free = is_level_free.ravel()[entries.cell[is_blocking]]
             num_blocked_cells += np.bincount(geom_ids, minlength=len(num_blocked_cells))
             num_free_cells += np.bincount(geom_ids[is_free], minlength=len(num_free_cells))
-    free_area = num_free_cells * lattice.cell_size**2
+    free_area = num_free_cells * inputs.lattice.cell_size**2
     is_uncounted = (free_area >= MIN_UNCOUNTED_AREA) & (
         num_free_cells >= MIN_FREE_FRACTION * num_blocked_cells
     )
@@ -119,11 +109,14 @@ def warn_uncounted(
     ]
 
 
-def _mark_candidates(scene: Scene) -> Bool:
-    """Mark the drawn geoms that don't count as they can't collide, and can't move either.
+def mark_drawn_uncounted(scene: Scene) -> Bool:
+    """Mark the drawn geoms of structure that don't count as they can't collide, shape (ngeom,).
 
     So are those that collide in a ``<contact><pair>`` alone. Planes, and geoms thinner than
-    `MIN_THICKNESS`, aren't marked.
+    `MIN_THICKNESS`, aren't marked. Where the marked geoms stand decides what `warn_uncounted` says.
+
+    Args:
+        scene: the scene; the mask does not depend on its pose.
     """
     reasons = [selection.reason for selection in scene.selections]
     is_candidate: Bool = np.isin(reasons, (CANT_COLLIDE_REASON, COLLIDES_IN_PAIRS_REASON))

@@ -130,7 +130,6 @@ def warn_of_structure(
     rooms: Rooms,
     boxes: LevelBoxes,
     hole_areas: Float,
-    uncounted_warnings: list[str],
 ) -> list[str]:
     """Collect the warnings that concern structure, in the order of the stages.
 
@@ -145,8 +144,6 @@ def warn_of_structure(
         boxes: the levels' boxes, and for how many cells the original client finds a wrong level by
             them.
         hole_areas: the area of each hole in the floor of a mesh [m²], shape (n,).
-        uncounted_warnings: the warnings of `warn_uncounted`: drawn geoms on the floor that don't
-            count.
 
     Returns:
         The warnings, one printable line each.
@@ -164,7 +161,6 @@ def warn_of_structure(
         *rooms.warnings,
         *_warn_yard(rooms),
         *_warn_interleaved(floors, occupancy, boxes),
-        *uncounted_warnings,
     ]
     return [printable(warning) for warning in warnings]
 
@@ -185,6 +181,7 @@ def collect_warnings(
     scene_warnings = [*baked_pose.scene.warnings, *baked_pose.scene.pattern_warnings]
     stuck_doors = {grid_door.door.id for grid_door in baked_pose.grid_doors if grid_door.is_stuck}
     pose_warnings = [
+        *baked_pose.uncounted_warnings,
         *_warn_unreached(baked_structure.floors, baked_pose),
         *_warn_nothing_free(config, baked_structure.floors, baked_pose),
         *_warn_movable(baked_structure, baked_pose),

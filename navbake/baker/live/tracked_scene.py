@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from navbake.baker.bake.uncounted import mark_drawn_uncounted
 from navbake.baker.core.constants import FREE, HINGE, MESH, SLIDE
 from navbake.baker.geometry.shapes import GeomTriangles, Primitives, Shapes
 from navbake.baker.rooms.flags import find_markers
@@ -90,6 +91,8 @@ class SceneChange(NamedTuple):
             geometry or role differs between them.
         full_bake_reason: why the whole scene has to be baked (structure, or a marker of a room, has
             changed); empty if an update is enough.
+        is_uncounted_changed: whether a drawn geom that doesn't count, as it can't collide, has
+            moved, or may have appeared or vanished.
         wait_for_digest: a function that waits until the digest of the scene is computed, and
             returns it. `scene` does not have the digest yet.
         snapshot: the values of the next pose, for comparison with the pose after it.
@@ -98,6 +101,7 @@ class SceneChange(NamedTuple):
     scene: Scene
     is_changed_geom: Bool
     full_bake_reason: str
+    is_uncounted_changed: bool
     wait_for_digest: Callable[[], str]
     snapshot: PoseSnapshot
 
@@ -138,6 +142,7 @@ class TrackedScene:
         self._marker_sites = np.array(marker_site_ids, dtype=np.int64)
         self.scene = scene
         self.pose_arrays = _copy_pose(scene.data)
+        self._is_uncounted_geom = mark_drawn_uncounted(scene)
         self._snapshot = self._take_snapshot(scene.data)
 
     def _take_snapshot(self, data: mujoco.MjData) -> PoseSnapshot:
@@ -170,6 +175,8 @@ class TrackedScene:
         """
         if scene.data is self._next_data:
             self._next_data = self.scene.data
+        if scene.selections is not self.scene.selections:
+            self._is_uncounted_geom = mark_drawn_uncounted(scene)
         self.scene = scene
         if snapshot.geom_attributes != self._snapshot.geom_attributes:
             self._digested_model = digest_model(self._model)
@@ -245,6 +252,7 @@ class TrackedScene:
             full_bake_reason=self._find_full_bake_reason(
                 scene, is_changed_geom, is_moved_geom, snapshot
             ),
+            is_uncounted_changed=self._is_uncounted_changed(scene, is_moved_geom, snapshot),
             wait_for_digest=wait_for_digest,
             snapshot=snapshot,
         )
@@ -301,6 +309,23 @@ class TrackedScene:
             or snapshot.marker_sites != self._snapshot.marker_sites
         )
         return "what marks rooms has changed" if is_marker_changed else ""
+
+    def _is_uncounted_changed(
+        self, scene: Scene, is_moved_geom: Bool, snapshot: PoseSnapshot
+    ) -> bool:
+        """Return whether the drawn geoms that don't count may stand elsewhere, or be others.
+
+        Args:
+            scene: the scene in the next pose.
+            is_moved_geom: the geoms whose poses differ between the two poses, (ngeom,).
+            snapshot: the values of the next pose.
+        """
+        if snapshot.geom_attributes != self._snapshot.geom_attributes:
+            return True
+        is_loaded_again = scene.selections is not self.scene.selections
+        if is_loaded_again and (mark_drawn_uncounted(scene) != self._is_uncounted_geom).any():
+            return True
+        return bool((is_moved_geom & self._is_uncounted_geom).any())
 
     def _are_joints_changed(self, snapshot: PoseSnapshot) -> bool:
         """Return whether a user has changed the model so that joints move bodies differently."""

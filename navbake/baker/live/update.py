@@ -16,6 +16,7 @@ import numpy as np
 from navbake.baker.bake.baked import BakedPose, BakedStructure, GridDoor
 from navbake.baker.bake.lattice import fit_lattice
 from navbake.baker.bake.level_crops import make_grid_door
+from navbake.baker.bake.uncounted import warn_uncounted
 from navbake.baker.doors.doors import (
     ClassifiedLeaf,
     DoorInputs,
@@ -150,6 +151,9 @@ def update_baked_scene(
             occupied=occupants.blocked,
             config=config,
         )
+    uncounted_warnings = old_pose.uncounted_warnings
+    if change.is_uncounted_changed:
+        uncounted_warnings = warn_uncounted(scene, baked_scene.movable_inputs)
     # areas, islands, clearance and doors may change far from what moved
     may_change_anywhere = bool(config.areas or config.attributes) or not _are_same_doors(
         grid_doors, old_pose.grid_doors
@@ -169,6 +173,7 @@ def update_baked_scene(
         areas=areas,
         links=links,
         name_boxes=name_boxes,
+        uncounted_warnings=uncounted_warnings,
     )
     return baked_scene._replace(pose=pose, changed_rows=changed_rows)
 

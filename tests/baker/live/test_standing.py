@@ -13,6 +13,7 @@ import pytest
 import navbake
 from differences import first_difference, fresh
 from navbake.baker.live import baker as module
+from navbake.baker.live import update
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "scripts"))
 
@@ -44,6 +45,8 @@ CARPET = (
     '<geom name="carpet" type="box" pos="1.5 3 0.001" size="{} 2.9 0.001" contype="0" '
     'conaffinity="0"/>'
 )
+# It is drawn, and can't collide, so that it counts nowhere
+DECORATION = '<geom name="decoration" type="box" size="0.4 0.4 0.3" contype="0" conaffinity="0"/>'
 CARPET_ROOM = {"rooms": {"geoms": ["carpet"], "sources": ["geoms", "auto"]}}
 WIDER = {"grid": {"bounds": [-1, -1, 7, 7]}}
 
@@ -319,6 +322,70 @@ def test_warnings_follow_what_moves():
         check_local(baker, WIDER, bodies={"platform": place})
         told.append(any("carries no floor" in warning for warning in baker.grid.warnings))
     assert told == [False, True, True, False]
+
+
+def is_uncounted_told(baker: navbake.Baker) -> bool:
+    """Whether a warning names drawn geoms on the floor that don't count."""
+    return any(text.startswith("drawn on free floor") for text in baker.grid.warnings)
+
+
+def test_warnings_of_drawn_things_follow_a_body_that_carries_floor():
+    stage = f'<body name="stage" pos="20 20 0.35"><freejoint/>{DECORATION}</body>'
+    settings = {"floors": {"movable": ["stage"]}}
+    baker = navbake.Baker(make(CHAIR + stage), **settings)
+    told = []
+    for place in ([3.0, 3.0, 0.35], [4.0, 3.0, 0.35], [20.0, 20.0, 0.35], [3.0, 3.0, 0.35]):
+        check_local(baker, settings, bodies={"stage": place})
+        told.append(is_uncounted_told(baker))
+        check_local(baker, settings, bodies={"chair": [2.0, 2.0, 0.4]})
+        assert is_uncounted_told(baker) == told[-1]
+    assert told == [True, True, False, True]
+
+
+@pytest.mark.parametrize("settings", [{}, {"scene": {"exclude": {"movable": True}}}], ids=str)
+def test_warnings_of_drawn_things_follow_what_is_written_to_the_model(settings):
+    model = make(CHAIR + f'<body name="decor" pos="3 3 0.35">{DECORATION}</body>')
+    baker = navbake.Baker(model, **settings)
+    model = baker.model
+    body = model.body("decor").id
+    geom = model.geom("decoration").id
+    assert is_uncounted_told(baker)
+    model.body_pos[body] = [20.0, 20.0, 0.35]
+    check_local(baker, settings)
+    assert not is_uncounted_told(baker)
+    model.body_pos[body] = [4.05, 3.05, 0.35]
+    check_local(baker, settings)
+    assert is_uncounted_told(baker)
+    model.body_pos[body] = [4.05, 3.05, 3.35]
+    check_local(baker, settings)
+    assert not is_uncounted_told(baker)
+    model.body_pos[body] = [4.05, 3.05, 0.35]
+    model.geom_rgba[geom, 3] = 0.0
+    check_local(baker, settings)
+    assert not is_uncounted_told(baker)
+    model.geom_rgba[geom, 3] = 1.0
+    check_local(baker, settings)
+    assert is_uncounted_told(baker)
+    model.geom_size[geom] = [0.04, 0.04, 0.3]
+    check_local(baker, settings)
+    assert not is_uncounted_told(baker)
+
+
+def test_drawn_things_are_looked_at_only_where_one_moved(monkeypatch):
+    calls = []
+    warn = update.warn_uncounted
+
+    def warn_and_count(*given):
+        calls.append(given)
+        return warn(*given)
+
+    monkeypatch.setattr(update, "warn_uncounted", warn_and_count)
+    stage = f'<body name="stage" pos="3 3 0.35"><freejoint/>{DECORATION}</body>'
+    baker = navbake.Baker(make(CHAIR + stage), floors={"movable": ["stage"]})
+    baker.update(bodies={"chair": [2.0, 2.0, 0.4]})
+    assert calls == []
+    baker.update(bodies={"stage": [4.0, 3.0, 0.35]})
+    assert len(calls) == 1
 
 
 # ---------------------------------------------------------------- where structure moved
