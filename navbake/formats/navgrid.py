@@ -50,6 +50,7 @@ from navbake.formats.source import (
     write_files,
 )
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
+from navbake.navgrid.islands import with_current_islands
 from navbake.navgrid.lattice import LEAST_EDGE, MAX_COORDINATE
 from navbake.navgrid.user_data import SharedEntries, UserData, without_garbage_collection
 from navbake.types import Json, JsonValue
@@ -481,13 +482,15 @@ def dumps_navgrid(grid: NavGrid) -> bytes:
     """Encode a grid as NavGrid JSON, with run-length encoded arrays.
 
     NaN and infinity in arrays become ``null``. ``cellAttributes`` lists the existing attributes. A
-    level's metadata are left out if they equal those of its MultiLevelGrid.
+    level's metadata are left out if they equal those of its MultiLevelGrid. What added obstacles
+    block is written as blocked.
 
     Raises:
         FormatError: a number outside of arrays is NaN or infinite, the format lacks an array's
             dtype, or JSON can't hold a value in the metadata, user data or extra fields.
     """
     root_place = JsonPath("the grid to be written")
+    grid = with_current_islands(grid)
     if isinstance(grid, SceneGrid2D):
         fields = _level_fields(grid, root_place, grid.metadata)
     else:

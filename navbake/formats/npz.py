@@ -39,6 +39,7 @@ from navbake.formats.allowance import (
 )
 from navbake.formats.source import Files, parse_json, read_bytes, write_bytes
 from navbake.navgrid.grid import MultiLevelGrid, NavGrid, SceneGrid2D
+from navbake.navgrid.islands import with_current_islands
 from navbake.types import Json
 from navbake.voxels.distances import DistanceField
 from navbake.voxels.grid import VoxelGrid
@@ -303,6 +304,7 @@ def encode_grid_npz(grid: NavGrid, path: Path) -> Files:
             values that JSON lacks.
     """
     root_place = JsonPath("the grid to be written")
+    grid = with_current_islands(grid)
     arrays: dict[str, NDArray[Any]] = {}
     document: Json = {
         "version": VERSION,

@@ -72,7 +72,8 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
         is_solid = solid_masks[level_number].reshape(level.shape)
         obstacle_state = level.obstacle_state
         if obstacle_state is not None:
-            is_occupied |= obstacle_state.mask_of(OCCUPIED)
+            occupancy_layer = obstacle_state.layer_of_attribute.get("occupancy", OCCUPIED)
+            is_occupied |= obstacle_state.mask_of(occupancy_layer)
             is_solid |= obstacle_state.mask_of(OCCUPIED)
         weights = level.weights.copy()
         # cells that no door changes keep their weight

@@ -33,7 +33,7 @@ from navbake.navgrid.links import (
     parse_steps,
 )
 from navbake.navgrid.metadata import describe_attributes, split_metadata
-from navbake.navgrid.obstacle_state import BLOCKED, CHANGING_ATTRIBUTES, OCCUPIED, ObstacleState
+from navbake.navgrid.obstacle_state import BLOCKED, CHANGING_ATTRIBUTES, ObstacleState
 from navbake.navgrid.rooms import Door, Room, measure_rooms, parse_doors, parse_rooms
 from navbake.navgrid.user_data import Box, UserData, parse_boxes
 from navbake.types import Bool, Float, Int, Int32, Json, Vector3
@@ -81,9 +81,13 @@ class GridBase(GridMethods):
     _tables: dict[str, tuple[object, object]] = field(default_factory=dict, init=False, repr=False)
 
     def __getstate__(self) -> Json:
-        """Return the state for copies and pickles: all but caches and obstacles."""
+        """Return the state for copies and pickles: all but caches and obstacles.
+
+        What the obstacles block stays blocked. So a layer ``island`` is that of the cells which are
+        free now.
+        """
         return {
-            **self.__dict__,
+            **self._with_current_islands().__dict__,
             "cached_islands": None,
             "obstacles": [],
             "fitted_grids": None,
@@ -131,15 +135,6 @@ class GridBase(GridMethods):
             obstacle_state is not None and obstacle_state.is_blocked
             for obstacle_state in obstacle_states
         )
-
-    def without_obstacles(self) -> Self:
-        """Return a grid in which no added obstacle (see `block`) blocks a cell.
-
-        It is the grid itself if no obstacle blocks a cell now.
-        """
-        if not self.is_blocked:
-            return self
-        return self.with_levels([level.without_obstacles() for level in self.levels])
 
     @property
     def scene_id(self) -> str | None:
@@ -436,22 +431,6 @@ class SceneGrid2D(GridBase):
             user_data=self.user_data if user_data is None else user_data,
             metadata=self.metadata if metadata is None else metadata,
         )
-
-    def without_obstacles(self) -> Self:
-        """Return a level in which no added obstacle blocks a cell; `self` if none does now."""
-        obstacle_state = self.obstacle_state
-        if obstacle_state is None or not obstacle_state.is_blocked:
-            return self
-        occupied_attributes = {
-            name: np.where(
-                obstacle_state.mask_of(OCCUPIED), layer_without_obstacles, self.attributes[name]
-            )
-            for name, layer_without_obstacles in obstacle_state.attributes_without_obstacles.items()
-        }
-        weights = np.where(
-            obstacle_state.mask_of(BLOCKED), obstacle_state.weights_without_obstacles, self.weights
-        )
-        return self.with_layers(weights=weights, attributes=occupied_attributes)
 
     @property
     def uses_cell_floors(self) -> bool:

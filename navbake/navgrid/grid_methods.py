@@ -242,6 +242,29 @@ class GridMethods:
 
     # ---------------------------------------------------------------- grids made of the grid
 
+    def without_obstacles(self) -> Self:
+        """Return a grid in which no added obstacle (see `block`) blocks a cell.
+
+        Returns:
+            A new grid; the grid itself if no obstacle blocks a cell now.
+        """
+        from navbake.navgrid.unblocking import without_obstacles
+
+        return cast("Self", without_obstacles(self._as_grid()))
+
+    def _with_current_islands(self) -> Self:
+        """Return the grid with a layer ``island`` that tells of added obstacles, too.
+
+        Returns:
+            A new grid; the grid itself if no obstacle blocks a cell, or if it has no such layer.
+
+        Raises:
+            FormatError: A table on which the islands depend is broken.
+        """
+        from navbake.navgrid.islands import with_current_islands
+
+        return cast("Self", with_current_islands(self._as_grid()))
+
     def with_doors(self, states: Mapping[str, str] | str) -> Self:
         """Return the grid with doors in other states, as a bake with these states would make it.
 
@@ -376,10 +399,14 @@ class GridMethods:
     ) -> AddedObstacle:
         """Block cells of the grid for an obstacle, until it is freed.
 
-        The weights, the occupancy and the layer ``clearance`` of this grid change in place. Each
-        `PathFinder` on it avoids the obstacle, too. One for an agent of another size uses the
-        radius of that agent as the margin. Obstacles may overlap. Grids that are made of this one
-        keep its current obstacles.
+        The weights, the occupancy and the layers ``solid`` and ``clearance`` of this grid change in
+        place. Each `PathFinder` on it avoids the obstacle, too. One for an agent of another size
+        uses the radius of that agent as the margin. Obstacles may overlap. Grids that are made of
+        this one keep its current obstacles.
+
+        The islands of cells and of finders are those without the blocked cells. A layer ``island``
+        is as well in files, copies and grids that are made of this one meanwhile; in this grid, it
+        stays as it is, as an obstacle may change it in all cells.
 
         A disc or a box blocks the cells where an agent on the floor would collide with it: where it
         overlaps the cell's square or the disc of `margin` around the cell's centre. Beside the

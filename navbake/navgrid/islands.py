@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from navbake.navgrid.grid import GridBase, SceneGrid2D
+from navbake.navgrid.grid import GridBase, NavGrid, SceneGrid2D
 from navbake.navgrid.links import MAX_AREAS, find_arcs
 from navbake.navgrid.obstacle_state import CellRange
 from navbake.types import Bool, Int, Int32
@@ -293,6 +293,27 @@ def step_limit(grid: GridBase) -> float:
             highest_floor = max(highest_floor, abs(float(extreme)))
     rounding = float(np.spacing(np.float32(highest_floor)))
     return grid.max_step / grid.unit + STEP_SLACK / grid.unit + rounding
+
+
+def with_current_islands(grid: NavGrid) -> NavGrid:
+    """Return a grid whose layer ``island``, if it has one, tells of added obstacles, too.
+
+    `block` leaves this layer as it is: an obstacle may change it in all cells, and renewing it
+    would take far longer than `block`. So it is renewed where a grid is written or copied.
+
+    Args:
+        grid: The grid, which stays as it is. It is returned itself if no obstacle blocks a cell, or
+            if it has no such layer; in files of other programs, the layer may mean anything.
+
+    Raises:
+        FormatError: A table on which the islands depend is broken.
+    """
+    has_layer = any("island" in level.attributes for level in grid.levels)
+    if not grid.navbake or not has_layer or not grid.is_blocked:
+        return grid
+    current_grid = grid.with_levels([level.with_layers() for level in grid.levels])
+    renew_islands(current_grid)
+    return current_grid
 
 
 def renew_islands(grid: GridBase) -> None:

@@ -43,6 +43,9 @@ class ObstacleState:
             (height, width).
         attributes_without_obstacles: The attributes of `OCCUPIED_ATTRIBUTES` by name, as they are
             without obstacles.
+        layer_of_attribute: For each of these attributes, which of the four layers of an obstacle is
+            1 in it: `OCCUPIED`, or `BLOCKED` for the ``occupancy`` of a level whose ``solid``
+            holds what obstacles themselves overlap.
         max_clearance: Largest clearance without obstacles [cells]; None if the level has no layer
             ``clearance``, or one that means something else.
         revision: Number of changes so far.
@@ -52,11 +55,13 @@ class ObstacleState:
         self,
         weights_without_obstacles: NDArray[np.floating],
         attributes_without_obstacles: Mapping[str, NDArray[np.generic]],
+        layer_of_attribute: Mapping[str, int],
         max_clearance: float | None,
     ) -> None:
         self.count = np.zeros((NUM_LAYERS, *weights_without_obstacles.shape), dtype=np.uint16)
         self.weights_without_obstacles = weights_without_obstacles
         self.attributes_without_obstacles = attributes_without_obstacles
+        self.layer_of_attribute = layer_of_attribute
         self.max_clearance = max_clearance
         self.revision = 0
         self._log: list[CellRange] = []

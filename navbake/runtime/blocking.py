@@ -114,8 +114,16 @@ def _make_obstacle_state(level: SceneGrid2D) -> ObstacleState:
         for name in OCCUPIED_ATTRIBUTES
         if name in level.attributes
     }
+    layer_of_attribute = dict.fromkeys(attributes_without_obstacles, OCCUPIED)
+    # As in a bake: cells that only the agent's disc blocks are occupied, but not solid. An inflated
+    # grid is blocked for another radius than that of its occupancy.
+    if "solid" in layer_of_attribute and level.navbake and "inflation" not in level.metadata:
+        layer_of_attribute["occupancy"] = BLOCKED
     return ObstacleState(
-        level.weights.copy(), attributes_without_obstacles, _largest_clearance(level)
+        level.weights.copy(),
+        attributes_without_obstacles,
+        layer_of_attribute,
+        _largest_clearance(level),
     )
 
 
@@ -145,10 +153,15 @@ def _change_counts(
         is_added=is_added,
     )
     for name, layer in obstacle_state.attributes_without_obstacles.items():
+        obstacle_layer = obstacle_state.layer_of_attribute[name]
         _write_cells(
-            level.attributes[name], layer, 1.0, counts[OCCUPIED], layers[OCCUPIED],
+            level.attributes[name],
+            layer,
+            1.0,
+            counts[obstacle_layer],
+            layers[obstacle_layer],
             is_added=is_added,
-        )  # fmt: skip
+        )
     # one rectangle for all layers
     rows, cols = np.divmod(np.concatenate(layers), level.width)
     changed_range = (int(rows.min()), int(rows.max()) + 1, int(cols.min()), int(cols.max()) + 1)

@@ -30,6 +30,8 @@ FUNCTIONS = {
     "block": "runtime.blocking:block",
     "routes": "routes.build:make_routes",
     "tensors": "tensors.build:make_tensors",
+    "without_obstacles": "navgrid.unblocking:without_obstacles",
+    "_with_current_islands": "navgrid.islands:with_current_islands",
     "save": "formats.navgrid:write_navgrid",
     "convert": "formats.convert:write_as",
     "to_npz": "formats.npz:encode_grid_npz",
@@ -41,6 +43,7 @@ FUNCTIONS = {
     "_repr_html_": "views.notebook:render_html",
     "_repr_png_": "views.notebook:draw_png",
 }
+NEVER_FAILING = {"without_obstacles"}
 # these have parameters of several functions, or use another method
 ALONE = {"plot", "to_nav2", "to_procthor", "blockers", "find_path"}
 
@@ -120,7 +123,7 @@ def test_a_method_documents_all_arguments_and_its_value(name):
     for parameter in list(inspect.signature(method).parameters)[1:]:
         assert f"{parameter}: " in text, parameter
     assert "Returns:" in text or method.__annotations__["return"] == "None"
-    assert "Raises:" in text
+    assert ("Raises:" in text) == (name not in NEVER_FAILING)
 
 
 def test_a_method_calls_the_function_that_it_is_named_with():

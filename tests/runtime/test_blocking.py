@@ -1,6 +1,7 @@
 """Blocking cells for a while, against grids made anew with the same cells blocked."""
 
 import copy
+import pickle
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from navbake.errors import QueryError
 from navbake.navgrid.cells import Cells
 from navbake.navgrid.islands import add_layers, find_islands, islands_of, measure_clearance
+from navbake.navgrid.links import Agent
 from navbake.runtime.path_finder import PathFinder
 from navbake.runtime.search import Search
 from oracles.ways import make_level, random_grid, stack
@@ -66,6 +68,12 @@ def test_any_order_of_blocks_equals_a_fresh_grid(seed):
         for level in grid.levels:
             np.testing.assert_allclose(
                 level.attributes["clearance"], measure_clearance(level), atol=1e-6
+            )
+        freed_grid = grid.without_obstacles()
+        for level, old in zip(freed_grid.levels, before.levels, strict=True):
+            np.testing.assert_array_equal(level.weights, old.weights)
+            np.testing.assert_array_equal(
+                level.attributes["clearance"], old.attributes["clearance"]
             )
     for block in blocks:
         block.free()
@@ -204,6 +212,33 @@ def test_occupied_cells_stay_so():
     assert np.argwhere(~grid.free).tolist() == [[1, 1]]
 
 
+@pytest.mark.parametrize("is_inflated", [False, True])
+def test_what_only_the_agents_disc_meets_is_occupied_and_not_solid(is_inflated):
+    """As in a bake; in an inflated grid, occupancy stays that of the baked radius."""
+    grid = open_level()
+    for name in ("occupancy", "solid"):
+        grid.attributes[name] = np.zeros(grid.shape, dtype=np.uint8)
+    grid.metadata |= {"navbake": {"version": "0"}, "agentRadius": 0.25}
+    if is_inflated:
+        grid = grid.inflate(0.25)
+    before = copy.deepcopy(grid)
+    first = grid.block(disc=((1.5, -1.5), 0.3))
+    second = grid.block(disc=((1.7, -1.5), 0.3))
+    expected_occupancy = grid.solid if is_inflated else (~grid.free).astype(np.uint8)
+    np.testing.assert_array_equal(grid.occupancy, expected_occupancy)
+    assert 0 < grid.solid.sum() < (~grid.free).sum()
+    if not is_inflated:
+        np.testing.assert_array_equal(grid.with_doors("open").occupancy, expected_occupancy)
+    freed_grid = grid.without_obstacles()
+    assert not freed_grid.occupancy.any() and not freed_grid.solid.any() and freed_grid.free.all()
+    first.free()
+    assert grid.occupancy[15, 17] and not grid.free[15, 17]
+    second.free()
+    for name in ("occupancy", "solid"):
+        np.testing.assert_array_equal(grid.attributes[name], before.attributes[name])
+    np.testing.assert_array_equal(grid.weights, before.weights)
+
+
 def test_islands_follow_although_the_file_tells_of_them():
     grid = make_level(np.ones((1, 5)), np.zeros((1, 5)))
     grid.metadata["navbake"] = {"version": "0"}
@@ -212,6 +247,43 @@ def test_islands_follow_although_the_file_tells_of_them():
         np.testing.assert_array_equal(islands_of(grid)[0], find_islands(grid)[0])
         assert islands_of(grid)[0].tolist() == [[1, 1, 0, 2, 2]]
     assert islands_of(grid)[0].tolist() == [[1] * 5]
+
+
+@pytest.mark.parametrize(
+    "copy_grid", [copy.deepcopy, lambda grid: pickle.loads(pickle.dumps(grid))]
+)
+@pytest.mark.parametrize("num_levels", [1, 2])
+def test_copies_have_the_islands_of_what_is_blocked(copy_grid, num_levels):
+    levels = [make_level(np.ones((1, 5)), np.zeros((1, 5))) for _ in range(num_levels)]
+    grid = levels[0] if num_levels == 1 else stack(levels, [])
+    grid.metadata["navbake"] = {"version": "0"}
+    add_layers(grid, ["island"])
+    before = [level.attributes["island"].copy() for level in grid.levels]
+    with grid.block(cells=(0, 0, 2)):
+        copied = copy_grid(grid)
+        for level, islands in zip(copied.levels, find_islands(grid), strict=True):
+            np.testing.assert_array_equal(level.attributes["island"], islands)
+        # the layer of the grid itself stays, and tells of the grid without obstacles
+        for level, islands in zip(grid.levels, before, strict=True):
+            np.testing.assert_array_equal(level.attributes["island"], islands)
+    assert not copied.is_blocked and not copied.levels[0].free[0, 2]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_finder_for_a_lower_step_made_while_something_is_blocked_has_true_clearances(seed):
+    rng = np.random.default_rng(seed)
+    grid = random_grid(rng)
+    grid.metadata["navbake"]["version"] = "0"
+    add_layers(grid, ["clearance"])
+    with grid.block(cells=random_cells(grid, rng, 5)):
+        finder = PathFinder(grid, agent=Agent("low", step=0.01))
+        assert finder.grid is not grid
+        for level in finder.grid.levels:
+            np.testing.assert_array_equal(level.attributes["clearance"], measure_clearance(level))
+    for level in finder.grid.levels:
+        np.testing.assert_allclose(
+            level.attributes["clearance"], measure_clearance(level), atol=1e-6
+        )
 
 
 def test_who_missed_too_much_looks_at_all(monkeypatch):
