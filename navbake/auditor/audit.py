@@ -276,7 +276,8 @@ def _mark_unlinked(facts: Facts, lower_level: int, upper_level: int, rows: Int, 
 def check_agent(facts: Facts) -> Iterator[Finding]:
     """Find impossible sizes of the agent, and sizes that differ from the bake's settings.
 
-    A step that is at least as high as the agent is impossible.
+    A step that is at least as high as the agent is impossible. A step lower than that of the
+    settings is no fault, see `Facts.has_lower_step`.
     """
     grid = facts.grid
     agent_settings = facts.settings.get("agent", {})
@@ -292,6 +293,8 @@ def check_agent(facts: Facts) -> Iterator[Finding]:
         if not facts.settings or not isinstance(agent_settings, dict):
             continue
         baked_size = agent_settings.get(setting_name, default_size)
+        if key == "traversableFloorHeight" and facts.has_lower_step:
+            continue
         if type(baked_size) in (int, float) and not math.isclose(stated_size, baked_size):
             stated_text = f"`{key}` is {stated_size:g} m"
             text = f"{stated_text}, but its settings say that it was baked for {baked_size:g} m"

@@ -214,7 +214,8 @@ def check_jumps(facts: Facts) -> Iterator[Finding]:
     """Find patches of floor more than a step above or below the floor around them.
 
     Such a patch is a spike, a pit, or the top of an object. It is an error if it is too small for a
-    floor, and nearly all of its outline jumps.
+    floor, and nearly all of its outline jumps. If the grid is for lower steps than it was baked
+    for, it may as well be the tread of a stair, and is no error.
     """
     patches = sorted(_find_jumping_patches(facts))
     for patch in patches[:MAX_PATCHES]:
@@ -290,7 +291,11 @@ def _find_jumping_patches(facts: Facts) -> Iterator[_Patch]:
                 f"{size_text} lies {mean_jump_height:.2f} m {direction} {surroundings_text} round "
                 "it, and no step leads there"
             )
-            is_error = is_nearly_all and island_areas[island_number] < min_area
+            is_error = (
+                is_nearly_all
+                and island_areas[island_number] < min_area
+                and not facts.has_lower_step
+            )
             yield _Patch(not is_error, -island_areas[island_number], island_number, text)
 
 

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from navbake.errors import FormatError, count_of, shorten
 from navbake.lengths import format_length
-from navbake.navgrid.grid import GridBase, SceneGrid2D
+from navbake.navgrid.grid import DEFAULT_STEP, GridBase, SceneGrid2D
 from navbake.navgrid.lattice import MAX_COORDINATE
 from navbake.navgrid.rooms import Door, Room
 from navbake.types import Bool, Float, Int, Int32, Json, Vector3
@@ -322,6 +322,20 @@ class Facts:
         highest_floor = max(float(np.nanmax(np.abs(floor), initial=0)) for floor in self.floors)
         rounding = float(np.spacing(np.float32(min(highest_floor, MAX_COORDINATE))))
         return self.grid.max_step + STEP_SLACK + rounding
+
+    @cached_property
+    def has_lower_step(self) -> bool:
+        """Whether the grid is for lower steps than its settings say that it was baked for.
+
+        `PathFinder.grid` is so for an agent that takes lower steps.
+        """
+        agent_settings = self.settings.get("agent", {})
+        if not self.settings or not isinstance(agent_settings, dict):
+            return False
+        baked_step = agent_settings.get("traversable_floor_height", DEFAULT_STEP)
+        if type(baked_step) not in (int, float):
+            return False
+        return self.grid.max_step < baked_step and not math.isclose(self.grid.max_step, baked_step)
 
     @cached_property
     def inflation_reach(self) -> float | None:

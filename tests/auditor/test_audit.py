@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import pickle
 import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -16,7 +17,8 @@ from grid_maps import house_from, level_from
 from navbake.auditor.audit import CHECKS, run_check
 from navbake.auditor.facts import ERROR, REMARK, Facts, Remark
 from navbake.errors import FormatError
-from navbake.navgrid.islands import find_islands, measure_clearance
+from navbake.navgrid.islands import add_layers, find_islands, measure_clearance
+from navbake.navgrid.links import Agent
 from navbake.testing import assert_sound
 from project_paths import GOLDEN
 
@@ -551,11 +553,55 @@ def test_has_no_errors_to_say_about_what_is_made_of_samples(name):
     ]
     made = [grid.inflate(**way) for way in ways]
     made += [grid.with_doors({d.id: state}) for d in grid.doors for state in d.states]
+    for agent in (Agent("low", step=0.1), Agent("wide", step=0.1, radius=0.3)):
+        made.append(navbake.PathFinder(grid, agent=agent).grid)
     for other in made:
         assert_sound(other, remarks=False)
     with grid.block(disc=(grid.rooms[0].centroid, 0.5)):
         assert_sound(grid)
         assert_sound(grid.inflate(0.2), remarks=False)
+
+
+@pytest.mark.parametrize("name", ["apartment", "tower"])
+def test_has_no_errors_to_say_about_layers_of_grids_while_something_is_blocked(name, tmp_path):
+    """Of the grid itself, of those made of it, and of those read from files of it."""
+    grid = load(name)
+    add_layers(grid, ["island", "clearance"])
+    level = grid.levels[0]
+    row, col = free_cell(level)
+    with grid.block(disc=(level.lattice.positions(row, col), 0.5), level=0):
+        finder = navbake.PathFinder(grid, agent=Agent("low", step=0.1))
+        grid.save(tmp_path / "blocked.grid.json")
+        grid.to_npz(tmp_path / "blocked.npz")
+        made = {
+            "itself": grid,
+            "without obstacles": grid.without_obstacles(),
+            "inflated": grid.inflate(0.2),
+            "with other doors": grid.with_doors("open"),
+            "of a finder": finder.grid,
+            "a copy": copy.deepcopy(grid),
+            "unpickled": pickle.loads(pickle.dumps(grid)),
+            "from a file": navbake.load(tmp_path / "blocked.grid.json"),
+            "from an archive": navbake.from_npz(tmp_path / "blocked.npz"),
+        }
+        for kind, other in made.items():
+            assert navbake.audit(other).errors == [], kind
+    for kind in ("a copy", "unpickled", "from a file", "from an archive"):
+        assert not made[kind].levels[0].free[row, col], kind
+    assert finder.grid.levels[0].free[row, col]
+    assert_sound(finder.grid, remarks=False)
+    assert_sound(grid, remarks=False)
+
+
+def test_a_step_higher_than_that_of_the_settings_is_told_and_a_lower_one_is_not():
+    grid = load("apartment")
+    grid.metadata["traversableFloorHeight"] = 0.3
+    (error,) = navbake.audit(grid).errors
+    assert error.check == "agent"
+    text = "`traversableFloorHeight` is 0.3 m, but its settings say that it was baked for 0.25 m"
+    assert error.text == text
+    grid.metadata["traversableFloorHeight"] = 0.05
+    assert navbake.audit(grid).errors == []
 
 
 @pytest.mark.parametrize(
