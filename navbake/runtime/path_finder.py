@@ -98,7 +98,7 @@ class PathFinder:
     Not thread-safe: use one object per thread.
 
     Attributes:
-        grid: the grid for the agent's size; the given grid itself if it already is for this size.
+        grid: the grid inflated for the agent; the given grid itself if there is nothing to change.
 
     Args:
         grid: a grid of one or several levels, or its file. Later writes into its arrays have no

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from navbake.errors import QueryError
 from navbake.runtime.flat_grid import RealNumber, check_positive
-from navbake.runtime.paths import Path, distances_of_points, find_path
+from navbake.runtime.paths import Path, distances_of_points, find_path, positions_at
 from navbake.runtime.places import snap, try_step
 from navbake.runtime.search import Search
 from navbake.types import Bool, Float, Int
@@ -152,7 +152,7 @@ class Follower:
         Raises:
             QueryError: the position or the heading is not valid.
         """
-        base_position = self._advance(position)
+        base_position, point_ahead = self._advance(position)
         if not isinstance(heading, RealNumber) or not math.isfinite(heading):
             expected = "a finite heading [rad]"
             raise QueryError(
@@ -161,7 +161,6 @@ class Follower:
                 value=heading,
                 expected=expected,
             )
-        point_ahead = self._find_point_ahead(base_position)
         if self.state != DRIVING:
             return Command(0.0, 0.0, point_ahead)
         limits = self._limits
@@ -195,7 +194,7 @@ class Follower:
         Raises:
             QueryError: the position is not valid.
         """
-        return self._find_point_ahead(self._advance(position))
+        return self._advance(position)[1]
 
     def replan(self, position: ArrayLike) -> bool:
         """Plan a new path from a position to the goal, and switch to it if there is one.
@@ -235,29 +234,30 @@ class Follower:
         floor_height = flat.floor_heights(cell) if cell >= 0 else flat.floors.ground[0]
         return np.append(base_position, float(floor_height))
 
-    def _advance(self, position: ArrayLike) -> Float:
+    def _advance(self, position: ArrayLike) -> tuple[Float, Float]:
         """Update the progress along the path and the state, and replan if that is needed.
 
         It is if the grid has changed, or if the base has lost its path. A base that has lost its
         path and got no new one waits. It replans when it gets into another cell.
 
-        Returns the base's checked position, shape (3,).
+        Returns the base's checked position and the point that it heads for, shape (3,) each.
         """
         base_position = self._check_position(position)
         if self.state == RIDING:
             if not self._is_at_next_stop(base_position):
-                return base_position
+                return base_position, self._find_point_ahead(base_position, None)
             stop_after_link = self.path.stops[self._num_links_taken, 1]
             self._base_distance = float(self._point_distances[stop_after_link])
             self.state = DRIVING
             self._num_links_taken += 1
         self._base_distance = self._nearest_distance(base_position)
         base_cell = int(self._search.flat.cells_at(base_position))
-        has_lost_path = not self._can_get_to_path(base_position, base_cell)
+        free_point = self._find_free_point_ahead(base_position)
+        has_lost_path = not self._can_get_to_path(base_position, base_cell, free_point)
         has_grid_changed = self._search.version != self._version
         if has_grid_changed or (has_lost_path and base_cell != self._planned_cell):
             self._version = self._search.version
-            self._planned_cell = base_cell
+            self._planned_cell = base_cell if has_lost_path else None
             self._free_distance = self._find_free_distance(self._base_distance)
             is_blocked = self._free_distance < self._length
             path = self._plan(base_position)
@@ -267,13 +267,16 @@ class Follower:
             ):
                 self._set_path(path)
                 self.num_replans += 1
+                free_point = self._find_free_point_ahead(base_position)
         elif not has_lost_path:
             self._is_stranded = False
             self._planned_cell = None
         self.state = self._find_state(base_position, base_cell)
-        return base_position
+        return base_position, self._find_point_ahead(base_position, free_point)
 
-    def _can_get_to_path(self, base_position: Float, base_cell: int) -> bool:
+    def _can_get_to_path(
+        self, base_position: Float, base_cell: int, free_point: Float | None
+    ) -> bool:
         """Whether the base can drive straight to its path.
 
         It can if a free straight line leads to a point ahead within the lookahead. It also can if
@@ -284,13 +287,14 @@ class Follower:
         Args:
             base_position: world x, y, z [m], shape (3,).
             base_cell: flat id of its cell, -1 for none.
+            free_point: see `_find_free_point_ahead`.
         """
         if not self._is_path_on_grid:
             return False
-        nearest_point = self.path.at(self._base_distance)
+        nearest_point = self._point_at(self._base_distance)
         if not self._is_near_floor(base_cell, nearest_point):
             return False
-        if self._find_free_point_ahead(base_position) is not None:
+        if free_point is not None:
             return True
         place = self._find_free_place(base_position)
         if place is None:
@@ -301,13 +305,16 @@ class Follower:
         return bool(np.hypot(*(nearest_point - walk_end)[:2]) <= WALK_TOLERANCE)
 
     def _is_near_floor(self, base_cell: int, point: Float) -> bool:
-        """Whether the floor below the base is less than the agent's height off a point's height.
+        """Whether the floor below the base is on the storey of a point."""
+        return base_cell >= 0 and self._is_same_storey(
+            float(self._search.flat.floor_heights(base_cell)), point
+        )
+
+    def _is_same_storey(self, floor_height: float, point: Float) -> bool:
+        """Whether a floor is less than the agent's height off a point's height.
 
         Floors that are farther apart belong to different storeys.
         """
-        if base_cell < 0:
-            return False
-        floor_height = float(self._search.flat.floor_heights(base_cell))
         return abs(floor_height - float(point[2])) < self._search.grid.agent_height
 
     def _find_free_length_ahead(self, base_position: Float) -> float:
@@ -357,12 +364,16 @@ class Follower:
     def _plan(self, base_position: Float) -> Path | None:
         """Plan a path from the base to the goal; it begins at `_find_free_place`.
 
-        Returns None if there is no path.
+        Returns None if there is no path, also where the grid has no floor at the goal's height: a
+        position would stand for the floor of the storey below.
         """
         start = self._find_free_place(base_position)
         if start is None:
             return None
-        return find_path(self._search, start, self._goal, None, by=self.path.by, smooth=True)
+        path = find_path(self._search, start, self._goal, None, by=self.path.by, smooth=True)
+        if path is None or not self._is_same_storey(float(path.positions[-1, 2]), self._goal):
+            return None
+        return path
 
     def _find_free_place(self, base_position: Float) -> Float | None:
         """Find the base's own place, or else the nearest free one in sight within the lookahead.
@@ -521,23 +532,28 @@ class Follower:
         next_index = int(np.searchsorted(self._point_distances, distance, "right"))
         return int(self.path.levels[min(next_index, len(self._point_distances) - 1)])
 
-    def _find_point_ahead(self, base_position: Float) -> Float:
+    def _find_point_ahead(self, base_position: Float, free_point: Float | None) -> Float:
         """Find the point that the base heads for, world x, y, z [m], shape (3,).
 
         It is the farthest lookahead point that a free straight line leads to; the nearest of them
         if no line is free; while waiting, the base's position; and while riding, the link's next
         stop.
+
+        Args:
+            base_position: world x, y, z [m], shape (3,).
+            free_point: see `_find_free_point_ahead`.
         """
         if self.state == RIDING:
             stop_after_link = self.path.stops[self._num_links_taken, 1]
             return np.asarray(self.path.positions[stop_after_link])
         if self.state == WAITING or not self._is_path_on_grid:
             return base_position.copy()  # a caller may go on to write into its array
-        free_point = self._find_free_point_ahead(base_position)
         return self._lookahead_point(LOOKAHEAD_SHARES[-1]) if free_point is None else free_point
 
     def _find_free_point_ahead(self, base_position: Float) -> Float | None:
         """Find the farthest lookahead point that a free straight line leads to; None for none."""
+        if not self._is_path_on_grid:
+            return None
         level = self._find_level_at(self._base_distance)
         for lookahead_share in LOOKAHEAD_SHARES:
             distance = self._base_distance + lookahead_share * self._limits.lookahead
@@ -556,7 +572,11 @@ class Follower:
         distance = self._base_distance + lookahead_share * self._limits.lookahead
         if stop_index is not None and distance >= self._point_distances[stop_index]:
             return np.asarray(self.path.positions[stop_index])
-        return self.path.at(distance)
+        return self._point_at(distance)
+
+    def _point_at(self, distance: float) -> Float:
+        """Compute the position at a distance along the path, as `Path.at` does."""
+        return positions_at(self.path.positions, self._point_distances, distance)
 
 
 def _has_lattices_of(path: Path, search: Search) -> bool:

@@ -83,11 +83,7 @@ class Path:
         Returns:
             World x, y, z [m], shape (..., 3).
         """
-        point_distances = distances_of_points(self.positions)
-        distances = np.asarray(distance, dtype=np.float64)
-        return np.stack(
-            [np.interp(distances, point_distances, axis) for axis in self.positions.T], axis=-1
-        )
+        return positions_at(self.positions, distances_of_points(self.positions), distance)
 
 
 def distances_of_points(positions: Float) -> Float:
@@ -100,6 +96,21 @@ def distances_of_points(positions: Float) -> Float:
         Distances from the first point, shape (n,).
     """
     return np.append(0.0, np.cumsum(np.hypot(*np.diff(positions[:, :2], axis=0).T)))
+
+
+def positions_at(positions: Float, point_distances: Float, distance: ArrayLike) -> Float:
+    """Compute positions at distances along a polyline.
+
+    Args:
+        positions: world x, y, z of its points [m], shape (n, 3).
+        point_distances: see `distances_of_points`.
+        distance: the distances, see `Path.at` [m], shape (...).
+
+    Returns:
+        World x, y, z [m], shape (..., 3).
+    """
+    distances = np.asarray(distance, dtype=np.float64)
+    return np.stack([np.interp(distances, point_distances, axis) for axis in positions.T], axis=-1)
 
 
 # ---------------------------------------------------------------- goals

@@ -212,12 +212,27 @@ def test_a_grid_of_fewer_levels_has_no_part_of_the_path():
     lower, upper = level_from("." * 30), level_from("." * 30, ground=3.0)
     stairs = [((0, 0, 29), (1, 0, 29))]
     finder = PathFinder(house_from([lower, upper], stairs))
-    follower = finder.follow(finder.find_path((2.85, -0.05, 3.0), (0.05, -0.05, 3.0)))
+    follower = finder.follow(finder.find_path((2.45, -0.05, 3.0), (0.05, -0.05, 0.0)))
     position = np.array([2.45, -0.05, 3.0])
-    assert follower.command(position, math.pi).forward > 0.0
+    assert follower.command(position, 0.0).forward > 0.0
     finder.use(level_from("." * 30))
     follower.command(position, math.pi)
     assert follower.state == "driving" and follower.path.levels.max() == 0
+
+
+def test_it_waits_where_the_storey_of_its_goal_is_gone():
+    """The goal's x and y are on the storey below, too: it ended there, and never arrived."""
+    lower, upper = level_from("." * 30), level_from("." * 30, ground=3.0)
+    house = house_from([lower, upper], [((0, 0, 29), (1, 0, 29))])
+    finder = PathFinder(house)
+    start, goal = (0.35, -0.05, 0.0), (0.05, -0.05, 3.0)
+    follower = finder.follow(finder.find_path(start, goal))
+    finder.use(level_from("." * 30))
+    assert follower.command(start, 0.0).forward == 0.0
+    assert (follower.state, follower.num_replans) == ("waiting", 0)
+    assert not follower.replan(start)
+    finder.use(house)
+    assert follower.command(start, 0.0).forward > 0.0
 
 
 ROOMS = """
@@ -269,6 +284,18 @@ def test_a_base_that_was_carried_where_no_path_leads_on_waits():
         np.testing.assert_array_equal(command.waypoint, place)
         assert follower.num_replans == 0
     drive(follower, Base(finder, start))  # carried back
+
+
+def test_a_base_that_loses_its_path_in_the_cell_where_the_grid_has_changed_plans_anew():
+    finder = PathFinder(level_from(ROOMS).inflate(0.15))
+    start, goal = (1.15, -0.25, 0.0), (2.6, -0.35, 0.0)
+    follower = finder.follow(finder.find_path(start, goal))
+    follower.command(start, 0.0)
+    with finder.grid.block(box=((0.2, -0.9), (0.3, -0.8))):  # beside the path
+        follower.command((0.78, -0.24, 0.0), 0.0)
+        assert follower.num_replans == 0
+        follower.command((0.74, -0.22, 0.0), 0.0)  # no point ahead is in reach
+        assert follower.num_replans == 1
 
 
 @pytest.mark.parametrize("place", [(0.45, -0.85, 0.0), (0.35, -0.71, 0.0)])
