@@ -159,7 +159,8 @@ def complete(typed, folder, *options):
         ("navbake path town.grid.json --doors o", ["open"]),
         ("navbake episodes --task s", ["sequence"]),
         ("navbake plot town.grid.json --layer f", ["floor"]),
-        ("navbake plot town.grid.json --level ", ["0"]),
+        ("navbake plot town.grid.json --level ", ["0", "street"]),
+        ("navbake sample town.grid.json --level s", ["street"]),
         (
             "navbake convert town.grid.json a --to nav2",
             ["nav2", "nav2-keepout", "nav2-speed", "nav2-route"],
@@ -176,7 +177,7 @@ def test_a_shell_completes_commands_options_and_values(tmp_path, typed, expected
     level.user_data = {8: {"objects": ["bed"]}}
     level.attributes["roomIndex"] = np.ones(level.shape, dtype=np.uint16)
     hall = Room(1, "0:1", "hall", 0, 0.18, (0.3, -0.2, 0.0), "auto")
-    level.metadata["navbake"] = {"rooms": [hall.to_json()]}
+    level.metadata["navbake"] = {"rooms": [hall.to_json()], "levels": [{"name": "street"}]}
     level.save(tmp_path / "town.grid.json")
     (tmp_path / "broken.json").write_text("{")
     assert complete(typed, tmp_path)[0] == expected

@@ -63,9 +63,16 @@ def list_scenes(incomplete: str) -> list[str]:
 
 
 def list_levels(ctx: Context) -> list[str]:
-    """List the numbers of the levels of the command's grid."""
+    """List the numbers of the levels of the command's grid, then the names that levels were given.
+
+    Names that only repeat the number, such as ``level 0``, are left out.
+    """
     grid = _read_grid(ctx)
-    return [] if grid is None else [str(number) for number in range(len(grid.levels))]
+    if grid is None:
+        return []
+    names = enumerate(grid.level_names)
+    given_names = [name for number, name in names if name != f"level {number}"]
+    return [*map(str, range(len(grid.levels))), *given_names]
 
 
 def list_door_states(ctx: Context) -> list[str]:
