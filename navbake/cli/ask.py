@@ -439,8 +439,8 @@ def _adapt_grid(grid: NavGrid, doors: list[str] | None, radius: float | None) ->
 
 
 def _can_open_doors(grid: NavGrid) -> bool:
-    """Whether a grid has doors whose state can change: not after it was inflated."""
-    return bool(grid.doors) and not grid.inflated_radius
+    """Whether a grid has doors whose state can change: not after it was inflated, also for 0 m."""
+    return bool(grid.doors) and "inflation" not in grid.metadata
 
 
 def _parse_target(text: str) -> options.TypedPlace | None:

@@ -115,10 +115,15 @@ def test_plans_over_links_for_an_agent(plan, run, tmp_path):
 def test_a_radius_replaces_that_of_the_agent(plan, tmp_path):
     file = tmp_path / "tower.grid.json"
     corridor = ["#" * 30, *["." * 30] * 7, "#" * 30]  # an agent of up to 0.35 m fits
-    tower(storeys=1, row="\n".join(corridor)).save(file)
+    grid = tower(storeys=1, row="\n".join(corridor))
+    grid.metadata["navbake"]["agents"] = {"robot": {"radius": 0.4}}
+    grid.save(file)
     ends = "--from", "0.5,-0.45", "--to", "2.5,-0.45", "--agent", "robot"
-    for radius, expected_status in ((0.0, 0), (0.3, 0), (0.5, 1)):
-        assert plan(file, *ends, "--radius", radius)[0] == expected_status
+    for option in (), ("--radius", 0.5):
+        status, out, err = plan(file, *ends, *option)
+        assert (status, err) == (1, "") and "too near" in out
+    for radius in (0.0, 0.3):
+        assert plan(file, *ends, "--radius", radius)[0] == 0
 
 
 def test_no_path_is_status_1_with_the_reason(plan):
@@ -312,6 +317,10 @@ def test_a_path_may_be_planned_with_all_doors_open(folder, run, plan):
     assert "(closed)" in reason and "--doors" not in reason
     too_wide = json.loads(plan(*through_the_door, "--radius", "0.6")[1])["reason"]
     assert "--doors" not in too_wide
+    run("inflate", "rooms.grid.json", "0", "-o", "point.grid.json")
+    status, out, _ = plan("point.grid.json", *through_the_door[1:])
+    reason = json.loads(out)["reason"]
+    assert status == 1 and "is in the way" in reason and "--doors" not in reason
 
 
 def test_the_last_state_of_a_door_counts(folder, run, plan):
