@@ -436,7 +436,12 @@ def find_reached_levels(
     height_ranges = list_level_height_ranges(level_settings or ())
     for level_number, height_range in enumerate(height_ranges):
         if not regions.mark_regions_in_range(is_floor, height_range).any():
-            raise SceneError(_explain_no_floor_on(level_settings or (), level_number, columns))
+            lower_floors = find_floors_below_grounds(
+                regions, is_floor, level_settings or (), settings
+            )
+            raise SceneError(
+                _explain_no_floor_on(level_settings or (), level_number, columns, lower_floors)
+            )
     is_included = is_floor & (
         reached_regions.is_reached if is_reach_required else ~reached_regions.is_void
     )
@@ -626,7 +631,10 @@ def _crop_steps(steps: Int, new_number_of_level: Int, window: Window, width: int
 
 
 def _explain_no_floor_on(
-    level_settings: Sequence[LevelSettings], level_number: int, columns: ColumnSource
+    level_settings: Sequence[LevelSettings],
+    level_number: int,
+    columns: ColumnSource,
+    lower_floors: Sequence[FloorBelowGround],
 ) -> str:
     """Word the error that a level of the configuration has no floor.
 
@@ -634,6 +642,7 @@ def _explain_no_floor_on(
         level_settings: the levels of the configuration, lowest first.
         level_number: index of the level in these.
         columns: the hits of all columns.
+        lower_floors: the floors a little below the grounds of the levels.
     """
     level_setting = level_settings[level_number]
     name = f"level {level_setting.name!r}" if level_setting.name else f"level {level_number}"
@@ -647,10 +656,16 @@ def _explain_no_floor_on(
     for chunk in columns.row_chunks():
         lowest_z = min(lowest_z, chunk.z.min(initial=np.inf))
         highest_z = max(highest_z, chunk.z.max(initial=-np.inf))
+    top_text = f", top {top:g} m" if np.isfinite(top) else ""
+    hints = [
+        f"; `ground: {format_coordinate(floor.lower_ground)}` takes in {floor.patch.area:.1f} m²"
+        for floor in lower_floors
+        if floor.ground == level_setting.ground
+    ]
     return (
-        f"no floor on {name} (ground {level_setting.ground:g} m, top {top:g} m) of `levels`: "
+        f"no floor on {name} (ground {level_setting.ground:g} m{top_text}) of `levels`: "
         f"the scene's surfaces span {format_coordinate(lowest_z)} to "
-        f"{format_coordinate(highest_z)} m"
+        f"{format_coordinate(highest_z)} m{''.join(hints)}"
     )
 
 

@@ -287,6 +287,23 @@ def test_floor_a_little_below_a_given_ground_is_told(tmp_path, ground):
     assert floors_below_grounds(tmp_path, YARD, [{"ground": -0.05}])[0] == []
 
 
+def test_a_level_whose_whole_floor_lies_a_little_lower_is_told_its_ground(tmp_path):
+    """Not of a floor that is as deep as a storey below."""
+    floor = box("", -5, -5, -1, 5, 5, -0.0849)
+    for ground, levels in ((0.0, [{"ground": 0.0}]), (-0.02, [{"ground": -0.02, "top": 2.5}])):
+        top_text = ", top 2.5 m" if ground else ""
+        with pytest.raises(SceneError) as caught:
+            floors_below_grounds(tmp_path, floor, levels)
+        assert (
+            f"no floor on level 0 (ground {ground:g} m{top_text}) of `levels`: the scene's "
+            "surfaces span -1 to -0.0849 m; `ground: -0.08` takes in 100.0 m²; the scene spans"
+        ) in str(caught.value)
+    assert floors_below_grounds(tmp_path, floor, [{"ground": -0.08}]) == ([], pytest.approx(100))
+    with pytest.raises(SceneError, match="no floor on level 0") as caught:
+        floors_below_grounds(tmp_path, floor, [{"ground": 0.5}])
+    assert "takes in" not in str(caught.value)
+
+
 def test_the_lowest_floor_below_a_ground_says_which_ground_takes_it_in(tmp_path):
     """Under an upper storey with floors 5 and 20 cm lower, below which the level below ends."""
     storeys = box("", -6, -3, -0.2, 6, 3, 0) + box("", -6, -3, 5.6, 6, 3, 5.8)
