@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from navbake.errors import QueryError
-from navbake.known_names import suggest
+from navbake.known_names import list_first, suggest
 from navbake.navgrid.grid import GridBase, NavGrid
 from navbake.navgrid.islands import add_layers, renew_islands
 from navbake.navgrid.links import LINK_STATES
@@ -21,6 +21,7 @@ from navbake.types import Bool, Float, Json
 
 AnyGrid = TypeVar("AnyGrid", bound=GridBase)
 
+MAX_LISTED_DOORS = 3  # that a warning names
 DECIMALS = 6  # the ends of lines are rounded to micrometres
 
 
@@ -102,26 +103,40 @@ def with_doors(grid: AnyGrid, states: Mapping[str, str] | str) -> AnyGrid:
     return changed_grid
 
 
-def find_lost_states(old_grid: GridBase, new_grid: GridBase) -> dict[str, str]:
-    """Find the doors that have other states in a grid, and are as modelled in the next one.
+def describe_lost_states(old_grid: GridBase, new_grid: GridBase) -> str:
+    """Word the warning that doors have other states in a grid, and are as modelled in the next one.
 
     Doors that block the same cells as modelled as in the state before are left out.
 
     Args:
-        old_grid: A grid.
-        new_grid: The next grid of the same scene.
+        old_grid: A finder's grid.
+        new_grid: The grid that the finder has next.
 
     Returns:
-        Door id -> its state in `old_grid`.
+        The warning, which names the doors and their states in `old_grid`, and how to set them in
+        the new grid; empty if there are no such doors, or if the grids are of two scenes.
     """
     old_states = {door.id: door.state for door in old_grid.doors if door.state != "modelled"}
     if not old_states or old_grid.scene_id != new_grid.scene_id:
-        return {}
-    return {
+        return ""
+    lost_states = {
         door.id: old_states[door.id]
         for door in new_grid.doors
         if door.state == "modelled" and door.id in old_states and door.like != old_states[door.id]
     }
+    if not lost_states:
+        return ""
+    names = [f"{door_id} was {state}" for door_id, state in lost_states.items()]
+    entries = [f"{door_id!r}: {state!r}" for door_id, state in lost_states.items()]
+    more_text = ", …" if len(entries) > MAX_LISTED_DOORS else ""
+    states_text = f"{{{', '.join(entries[:MAX_LISTED_DOORS])}{more_text}}}"
+    if len({door.state for door in old_grid.doors}) == 1:  # one word sets them all
+        states_text = repr(old_grid.doors[0].state)
+    return (
+        f"doors of {new_grid.scene_id!r} are as modelled in the finder's new grid: "
+        f"{list_first(names, MAX_LISTED_DOORS)}. Set the states of the new grid, too: "
+        f"finder.use(grid.with_doors({states_text}))"
+    )
 
 
 def _check_door_states(

@@ -112,10 +112,9 @@ def fit_grid(grid: NavGrid, agent: Agent | None) -> NavGrid:
     if agent.step is not None and agent.step < grid.max_step - SIZE_TOLERANCE:
         fitted_grid = _limit_steps(grid_without_added, agent.step)
     # a grid that was baked for this radius, but not inflated, has other cells than an inflated one
-    is_inflated = bool(grid.exact_inflations) and math.isclose(
-        radius or 0.0, grid.inflated_radius, abs_tol=SIZE_TOLERANCE
-    )
-    if radius is not None and not is_inflated:
+    if radius is not None and not (
+        grid.exact_inflations and math.isclose(radius, grid.inflated_radius, abs_tol=SIZE_TOLERANCE)
+    ):
         if radius < grid.inflated_radius:
             hint = "plan on the grid as it was baked"
             raise QueryError(

@@ -17,10 +17,9 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from navbake.errors import QueryError
-from navbake.known_names import list_first
 from navbake.lazy import resolve
 from navbake.navgrid.cells import Cell
-from navbake.navgrid.door_states import DoorStateWarning, find_lost_states
+from navbake.navgrid.door_states import DoorStateWarning, describe_lost_states
 from navbake.navgrid.grid import NavGrid
 from navbake.navgrid.links import Agent
 from navbake.runtime import draws, no_path, passage, paths, places, stand
@@ -41,8 +40,6 @@ OnePosition: TypeAlias = Sequence[float]
 
 ManyPositions: TypeAlias = Sequence[Sequence[float]]
 """x, y, z of several positions, as a list of tuples."""
-
-MAX_LISTED_DOORS = 3  # that a warning names
 
 # name that users may expect -> the method that does this
 _SUGGESTIONS = {
@@ -163,22 +160,9 @@ class PathFinder:
                 InflationWarning,
                 stacklevel=2,
             )
-        lost_states = find_lost_states(self.grid, search.grid)
-        if lost_states:
-            names = [f"{door_id} was {state}" for door_id, state in lost_states.items()]
-            states = {door.state for door in self.grid.doors}
-            entries = [f"{door_id!r}: {state!r}" for door_id, state in lost_states.items()]
-            more_text = ", …" if len(entries) > MAX_LISTED_DOORS else ""
-            states_text = f"{{{', '.join(entries[:MAX_LISTED_DOORS])}{more_text}}}"
-            if len(states) == 1:
-                states_text = repr(states.pop())
-            warnings.warn(
-                f"doors of {search.grid.scene_id!r} are as modelled in the finder's new grid: "
-                f"{list_first(names, MAX_LISTED_DOORS)}. Set the states of the new grid, too: "
-                f"finder.use(grid.with_doors({states_text}))",
-                DoorStateWarning,
-                stacklevel=2,
-            )
+        lost_states_text = describe_lost_states(self.grid, search.grid)
+        if lost_states_text:
+            warnings.warn(lost_states_text, DoorStateWarning, stacklevel=2)
         self._search = search
         self.grid = search.grid
 
