@@ -659,7 +659,7 @@ class GridMethods:
                 agent.
 
         Example:
-            >>> grid.to_nav2("map.yaml", level=0, radius=0.3)
+            >>> grid.to_nav2("map.yaml", level=0, radius=0.0)  # nav2 inflates it for the robot
             [PosixPath('map.pgm'), PosixPath('map.yaml')]
         """
         from navbake.formats.convert import write_as
