@@ -154,25 +154,27 @@ class GridBase(GridMethods):
 
     @property
     def exact_inflations(self) -> list[Json]:
-        """The metadata's entries about inflations of the grid in mode ``exact``."""
+        """The metadata's entries about inflations of the grid in mode ``exact``.
+
+        Files of other programs may hold anything there: entries without a valid radius are left
+        out.
+        """
         inflations = self.metadata.get("inflation")
-        if not isinstance(inflations, list):  # files of other programs may hold anything here
+        if not isinstance(inflations, list):
             return []
         return [
             inflation
             for inflation in inflations
-            if isinstance(inflation, dict) and inflation.get("mode") == "exact"
+            if isinstance(inflation, dict)
+            and inflation.get("mode") == "exact"
+            and isinstance(inflation.get("radius"), int | float)
+            and 0 <= inflation["radius"] <= MAX_RADIUS
         ]
 
     @property
     def inflated_radius(self) -> float:
         """The largest radius that the grid was inflated for in mode ``exact`` [m], or 0."""
-        largest_radius = 0.0
-        for inflation in self.exact_inflations:
-            radius = inflation.get("radius")
-            if isinstance(radius, int | float) and 0 <= radius <= MAX_RADIUS:
-                largest_radius = max(largest_radius, float(radius))
-        return largest_radius
+        return max((float(inflation["radius"]) for inflation in self.exact_inflations), default=0.0)
 
     @property
     def radius(self) -> float:

@@ -329,6 +329,9 @@ def test_a_grid_that_is_inflated_for_a_point_has_no_radius():
     point = level.inflate(0.0)
     assert (point.radius, point.agent_radius) == (0.0, 0.2)
     assert point.describe_radius() == "inflated for a radius of 0 m"
+    for radius in (None, "0.3", -1.0, math.nan):  # of another program: none that can be read
+        level.metadata["inflation"] = [{"mode": "exact", "radius": radius}]
+        assert (level.radius, level.inflated_radius) == (0.2, 0.0)
 
 
 def test_a_grid_that_stays_inflated_for_more_says_so(recwarn):
