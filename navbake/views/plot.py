@@ -301,7 +301,7 @@ def render_picture(
 def _write_heading(figure: Figure, grid: NavGrid) -> None:
     """Write the name of a grid, and the radius that it is inflated by, above all maps."""
     heading_text = grid.scene_id or "grid"
-    if grid.inflated_radius:
+    if grid.exact_inflations:
         heading_text = f"{heading_text}, {grid.describe_radius()}"
     heading = wrap_text(heading_text, figure.get_figwidth())
     figure.suptitle(heading, x=0.01, ha="left", fontsize=HEADING_POINTS, fontweight="bold")

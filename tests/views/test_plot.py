@@ -432,8 +432,11 @@ def test_an_inflated_grid_names_its_radius_and_shows_what_it_closed():
     assert len(find(image, CLOSED, slice(above, None))[0]) > 50  # the legend has it
     assert not len(find(plain, CLOSED)[0])
     # the heading: the first dark rows, wider by the radius
-    headings = [(pixels[:60] < 100).all(axis=2).any(axis=0).sum() for pixels in (plain, image)]
-    assert headings[1] > 2 * headings[0]
+    thin = pixels(render_picture(level.inflate(0.0), layers=["occupancy"]))
+    plain_width, width, thin_width = (
+        (pixels[:60] < 100).all(axis=2).any(axis=0).sum() for pixels in (plain, image, thin)
+    )
+    assert width > 2 * plain_width and thin_width > 2 * plain_width
 
 
 def size_of(image):
