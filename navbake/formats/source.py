@@ -80,6 +80,11 @@ def format_path(path: str | os.PathLike[str]) -> str:
     return name if name.isprintable() else repr(name)
 
 
+def format_convert_command(path: str | os.PathLike[str]) -> str:
+    """Format the command that makes a grid of a file: ``navbake convert map.bt map.grid.json``."""
+    return f"navbake convert {format_path(path)} {format_path(f'{Path(path).stem}.grid.json')}"
+
+
 def check_path(path: object) -> str:
     """Return a path as text.
 
@@ -227,18 +232,14 @@ def read_navgrid_text(source: Source) -> tuple[bytes, int, JsonPath]:
     remedy = NAVGRID_REMEDY
     path = str(source) if isinstance(source, str | os.PathLike) else ""
     if path.lower().endswith((".yaml", ".yml")):
-        path_text = format_path(path)
-        grid_path = format_path(f"{Path(path).stem}.grid.json")
         remedy = (
-            f"of settings, `navbake bake {path_text}` makes one, of a map of nav2, "
-            f"`navbake convert {path_text} {grid_path}`"
+            f"of settings, `navbake bake {format_path(path)}` makes one, of a map of nav2, "
+            f"`{format_convert_command(path)}`"
         )
     elif path.lower().endswith(VOXEL_ENDINGS):
-        path_text = format_path(path)
-        grid_path = format_path(f"{Path(path).stem}.grid.json")
         remedy = (
-            f"of voxels, `navbake convert {path_text} {grid_path} --height 0.1:1.2` makes one, and "
-            f"`navbake fly {path_text}` takes them as they are"
+            f"of voxels, `{format_convert_command(path)} --height 0.1:1.2` makes one, and "
+            f"`navbake fly {format_path(path)}` takes them as they are"
         )
     text, name = read_bytes(source, beginnings=beginnings, expected=NAVGRID_TEXT, remedy=remedy)
     num_bytes = len(text)

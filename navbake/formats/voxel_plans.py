@@ -9,14 +9,13 @@ from __future__ import annotations
 import logging
 import math
 from os import PathLike
-from pathlib import Path
 
 import numpy as np
 
 from navbake.errors import FormatError
 from navbake.files import readable_stem
 from navbake.formats.occupancy import FREE, OCCUPIED, UNKNOWN, level_from_values
-from navbake.formats.source import format_path
+from navbake.formats.source import format_convert_command
 from navbake.formats.voxels import read_voxels
 from navbake.known_names import check_choice
 from navbake.navgrid.grid import SceneGrid2D
@@ -52,9 +51,7 @@ def read_voxel_plan(
     """
     if height is None:
         expected = "the heights that an agent needs free, LOW:HIGH [m], world z"
-        path_text = format_path(path)
-        grid_path = format_path(f"{Path(path).stem}.grid.json")
-        hint = f"`navbake convert {path_text} {grid_path} --height 0.1:1.2` makes one"
+        hint = f"`{format_convert_command(path)} --height 0.1:1.2` makes one"
         raise FormatError(
             f"expected {expected} to make a grid of the voxels of {path}: {hint}",
             path=str(path),

@@ -163,8 +163,8 @@ def describe_cell(grid: NavGrid, position: ArrayLike, level: int | None = None) 
         - ``doors``, ``objects``, ``walls``: names of what stands in the cell
         - ``blockers``: names of what blocks the cell, as far as they are known
         - ``lower_than_step``: names of what rises over the floor of a free cell by no more than the
-          step that the grid was baked for, so that it is no obstacle, as far as the file has the
-          heights of things
+          grid's highest step, so that it is no obstacle, as far as the file has the heights of
+          things
 
     Raises:
         QueryError: the level does not exist, or the position is not valid or in no cell.

@@ -73,11 +73,17 @@ def _find_keyframe(model: mujoco.MjModel, name: str, settings: SceneSettings) ->
 
 
 def _find_joint(model: mujoco.MjModel, name: str, settings: SceneSettings) -> int:
-    joint = find_joint_of_body(model, name)
-    own_name = "" if joint is None else name_at(model, model.name_jntadr[joint])
-    hint = f"{name!r} is moved by its joint {own_name!r}; " if own_name else ""
+    joint = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name))
+    hint = _suggest_joint_of_body(model, name) if joint < 0 else ""
     _check_name(model, name, "joint", "joints", model.name_jntadr, settings, hint)
-    return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name))
+    return joint
+
+
+def _suggest_joint_of_body(model: mujoco.MjModel, name: str) -> str:
+    """Name the joint of the body of this name, for an error; empty if it has none with a name."""
+    joint = find_joint_of_body(model, name)
+    joint_name = "" if joint is None else name_at(model, model.name_jntadr[joint])
+    return f"{name!r} is moved by its joint {joint_name!r}; " if joint_name else ""
 
 
 def _check_name(
