@@ -16,7 +16,13 @@ import numpy as np
 
 from navbake.baker.core.tiles import block_of, block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK
-from navbake.baker.floors.surface_kernels import EAST, STANDABLE, UNCOVERED, are_joined_by_slopes
+from navbake.baker.floors.surface_kernels import (
+    EAST,
+    STANDABLE,
+    UNCOVERED,
+    are_joined_by_slopes,
+    find_first_not_below,
+)
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Int, Int32
 
@@ -238,11 +244,9 @@ def _unite_with_neighbor(
     for surface in range(np.int64(surfaces.first[cell]), surfaces.end[cell]):
         if component_of_surface[surface] == -1:
             continue
-        # heights ascend in both cells, so `first_near_surface` only moves up
-        while (
-            first_near_surface < end_in_neighbor and z[first_near_surface] < z[surface] - max_rise
-        ):
-            first_near_surface += 1
+        first_near_surface = find_first_not_below(
+            z, first_near_surface, end_in_neighbor, z[surface] - max_rise
+        )
         for near_surface in range(first_near_surface, end_in_neighbor):
             if z[near_surface] > z[surface] + max_rise:
                 break
@@ -503,11 +507,9 @@ def _list_pairs_with_neighbor(
     for surface in range(np.int64(surfaces.first[cell]), surfaces.end[cell]):
         if number_in_block[surface] < 0:
             continue
-        # heights ascend in both cells, so `first_near_surface` only moves up
-        while (
-            first_near_surface < end_in_neighbor and z[first_near_surface] < z[surface] - max_rise
-        ):
-            first_near_surface += 1
+        first_near_surface = find_first_not_below(
+            z, first_near_surface, end_in_neighbor, z[surface] - max_rise
+        )
         for near_surface in range(first_near_surface, end_in_neighbor):
             if z[near_surface] > z[surface] + max_rise:
                 break

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from navbake.baker.core.bisection_kernels import find_first_above, find_first_at_or_above
 from navbake.baker.core.tiles import block_window
 from navbake.baker.core.tolerances import LIMIT_SLACK, SAME_HEIGHT
-from navbake.baker.floors.surface_kernels import are_joined_by_slopes
+from navbake.baker.floors.surface_kernels import are_joined_by_slopes, find_first_not_below
 from navbake.compiled import NO_REFCOUNT, kernel, subkernel
 from navbake.types import Float, Int32
 
@@ -430,12 +430,9 @@ def list_links(
                     first_near_surface = first_surface[neighbor]
                     end_in_neighbor = end_surface[neighbor]
                     for surface in range(np.int64(first_surface[cell]), end_surface[cell]):
-                        # heights ascend in both cells, so `first_near_surface` only moves up
-                        while (
-                            first_near_surface < end_in_neighbor
-                            and z[first_near_surface] < z[surface] - max_rise
-                        ):
-                            first_near_surface += 1
+                        first_near_surface = find_first_not_below(
+                            z, first_near_surface, end_in_neighbor, z[surface] - max_rise
+                        )
                         for neighbor_surface in range(first_near_surface, end_in_neighbor):
                             if z[neighbor_surface] > z[surface] + max_rise:
                                 break

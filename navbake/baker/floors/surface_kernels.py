@@ -251,6 +251,24 @@ def list_surfaces(lattice, hits, planes, agent_limits, cells, row_counts, row_ar
     return end
 
 
+@subkernel(inline="always")
+def find_first_not_below(z, first_surface, end_surface, least_z):
+    """Return the first of some surfaces that is not below a height; their end if all are.
+
+    Surfaces of a cell ascend. Whoever looks for those near each surface of a neighboring cell goes
+    on from the last result, so that all searches together visit each surface once.
+
+    Args:
+        z: heights of all surfaces [m].
+        first_surface: index of the first of the surfaces.
+        end_surface: index past the last one.
+        least_z: the height [m].
+    """
+    while first_surface < end_surface and z[first_surface] < least_z:
+        first_surface += 1
+    return first_surface
+
+
 @subkernel(**NO_REFCOUNT)
 def are_joined_by_slopes(surfaces, surface_a, surface_b, direction, max_step):
     """Return whether slopes join two surfaces of neighboring cells that no step joins.
